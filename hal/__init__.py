@@ -1,0 +1,1 @@
+"""What hardware looks like: cameras, bases, clocks, and the backends that bring them together."""

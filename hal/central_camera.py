@@ -1,0 +1,224 @@
+"""The central camera: one model for perspective, catadioptric and fisheye cameras.
+
+Unified sphere model (1.6), (1.7): a ray goes to the unit sphere, from there to the normalised
+plane seen from a centre ξ above the sphere's centre, then to pixels by K. ξ = 0 is a
+perspective camera, 0 < ξ < 1 hyper-catadioptric, ξ = 1 para-catadioptric, ξ > 1 a fisheye lens.
+
+Camera axes: the model's z axis is the optical axis. *Robot rays* are unit vectors
+(right, forward, up) in the robot's frame, whatever the mounting.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache, cached_property
+from importlib import resources
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from robots.documents import Document, load, suggestion
+from robots.errors import InputError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Degrees = Annotated[float, Field(ge=0, le=180)]
+
+# Columns are the camera's x, y, z axes in robot coordinates (right, forward, up).
+_MOUNTINGS: dict[str, Array] = {
+    "forward": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "down": np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
+    "up": np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+
+
+class CentralCamera(Document):
+    """A central camera: intrinsics, field of view and orientation on the robot.
+
+    Pixels are (u, v), the centre of the first pixel at (0, 0). A catadioptric camera looks up
+    into its mirror, and its model's z axis points down: ``optical_axis`` is ``down``, the image
+    centre shows the robot, and elevation grows outwards. A negative ``fx`` is the left–right
+    reversal of a real mirror.
+    """
+
+    name: str
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    xi: Annotated[float, Field(ge=0)]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    skew: float = 0.0
+    optical_axis: Literal["forward", "down", "up"] = "forward"
+    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    min_polar_deg: Degrees = 0.0
+    max_polar_deg: Degrees = 90.0
+
+    # --- geometry in the camera's own axes -------------------------------------------------
+
+    def project(self, rays: ArrayLike) -> tuple[Array, Mask]:
+        """Project rays in camera axes to pixels.
+
+        Parameters
+        ----------
+        rays : (..., 3) array
+            Directions or points, not necessarily of unit length.
+
+        Returns
+        -------
+        pixels : (..., 2) array
+            NaN where the ray has no image.
+        valid : (...) bool array
+            The ray is in the field of view and falls into the image.
+        """
+        unit = _normalised(rays)
+        z = unit[..., 2]
+        depth = z + self.xi
+        seen = self._in_field(z)
+        scale = 1.0 / np.where(seen, depth, np.nan)
+        x, y = unit[..., 0] * scale, unit[..., 1] * scale
+        pixels = np.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy], axis=-1)
+        inside = self.contains(pixels)
+        return pixels, seen & inside
+
+    def unproject(self, pixels: ArrayLike) -> tuple[Array, Mask]:
+        """Return the unit rays (..., 3) in camera axes of pixels (..., 2), and their validity.
+
+        A ray is valid when the pixel lies in the image of the field of view; elsewhere it is
+        NaN where the model has none (ξ > 1 outside its image circle).
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        y = (pixels[..., 1] - self.cy) / self.fy
+        x = (pixels[..., 0] - self.cx - self.skew * y) / self.fx
+        r2 = x * x + y * y
+        root = 1.0 + (1.0 - self.xi**2) * r2
+        factor = (self.xi + np.sqrt(np.where(root >= 0.0, root, np.nan))) / (1.0 + r2)
+        rays = np.stack([factor * x, factor * y, factor - self.xi], axis=-1)
+        return rays, self._in_field(rays[..., 2]) & self.contains(pixels)
+
+    def jacobian(self, rays: ArrayLike) -> Array:
+        """Return ∂pixel/∂ray (..., 2, 3) at the unit vectors along ``rays`` (..., 3).
+
+        It is the derivative of `project` for points on the unit sphere; its null direction is
+        the ray itself.
+        """
+        unit = _normalised(rays)
+        sx, sy, sz = unit[..., 0], unit[..., 1], unit[..., 2]
+        depth = sz + self.xi
+        # d(x, y)/d(ray) before normalisation to the sphere is removed by the tangent projector.
+        plane = np.zeros((*unit.shape[:-1], 2, 3))
+        plane[..., 0, 0] = plane[..., 1, 1] = 1.0 / depth
+        plane[..., 0, 2] = -sx / depth**2
+        plane[..., 1, 2] = -sy / depth**2
+        tangent = np.eye(3) - unit[..., :, None] * unit[..., None, :]
+        K = np.array([[self.fx, self.skew], [0.0, self.fy]])
+        return np.asarray(K @ plane @ tangent, dtype=np.float64)
+
+    def contains(self, pixels: ArrayLike) -> Mask:
+        """Return whether pixels (..., 2) lie in the image, to the outer edge of its pixels."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        u, v = pixels[..., 0], pixels[..., 1]
+        return np.asarray(
+            (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
+        )
+
+    # --- geometry in the robot's axes ------------------------------------------------------
+
+    @cached_property
+    def rotation(self) -> Array:
+        """(3, 3): columns are the camera's axes in robot coordinates (right, forward, up)."""
+        yaw, pitch, roll = np.radians([self.yaw_deg, self.pitch_deg, self.roll_deg])
+        return _about(2, yaw) @ _about(0, pitch) @ _about(1, roll) @ _MOUNTINGS[self.optical_axis]
+
+    def robot_rays(self, pixels: ArrayLike) -> tuple[Array, Mask]:
+        """Return unit rays (..., 3) as (right, forward, up) of pixels (..., 2), and validity."""
+        rays, valid = self.unproject(pixels)
+        return rays @ self.rotation.T, valid
+
+    def robot_pixels(self, rays: ArrayLike) -> tuple[Array, Mask]:
+        """Return pixels (..., 2) of robot rays (..., 3), and their validity (see `project`)."""
+        return self.project(np.asarray(rays, dtype=np.float64) @ self.rotation)
+
+    @property
+    def panoramic(self) -> bool:
+        """Whether the optical axis is vertical: every bearing is seen."""
+        return self.optical_axis != "forward"
+
+    def resized(self, width: int, height: int) -> CentralCamera:
+        """Return the same camera with another image size, the field of view kept.
+
+        Raises
+        ------
+        InputError
+            The aspect ratio differs: the field of view could not be kept.
+        """
+        scale = width / self.width
+        if abs(height / self.height - scale) > 1e-6 * scale:
+            raise InputError(
+                f"camera '{self.name}' is {self.width}x{self.height}; {width}x{height} has another "
+                "aspect ratio: choose a size of the same shape"
+            )
+        return self.altered(
+            width=width,
+            height=height,
+            fx=self.fx * scale,
+            fy=self.fy * scale,
+            skew=self.skew * scale,
+            cx=(self.cx + 0.5) * scale - 0.5,
+            cy=(self.cy + 0.5) * scale - 0.5,
+        )
+
+    def altered(self, **changes: float | str) -> CentralCamera:
+        """Return a copy with some fields changed and everything checked again."""
+        return CentralCamera.model_validate({**self.model_dump(), **changes})
+
+    def _in_field(self, z: Array) -> Mask:
+        """Return whether unit rays with optical-axis component ``z`` are in the field of view."""
+        low = math.cos(math.radians(self.max_polar_deg))
+        high = math.cos(math.radians(self.min_polar_deg))
+        # Beyond z = −1/ξ the sphere's far side projects onto the same pixels (ξ > 1); for ξ ≤ 1
+        # the limit is the plane z = −ξ through the upper centre.
+        limit = -1.0 / self.xi if self.xi > 1.0 else -self.xi
+        margin = 1e-12
+        return np.asarray((z >= low - margin) & (z <= high + margin) & (z > limit + 1e-9))
+
+
+@cache
+def camera_names() -> tuple[str, ...]:
+    """Return the names of the cameras that this package describes."""
+    files = (resources.files("hal") / "cameras").iterdir()
+    return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
+
+
+@cache
+def load_camera(name: str) -> CentralCamera:
+    """Return a camera by name.
+
+    Raises
+    ------
+    InputError
+        No such camera; the message lists those there are.
+    """
+    if name not in camera_names():
+        raise InputError(f"unknown camera '{name}'; {suggestion(name, camera_names())}")
+    return load(resources.files("hal") / "cameras" / f"{name}.yaml", CentralCamera)
+
+
+def _normalised(rays: ArrayLike) -> Array:
+    rays = np.asarray(rays, dtype=np.float64)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True), dtype=np.float64)
+
+
+def _about(axis: int, angle: float) -> Array:
+    """Return the rotation by ``angle`` (rad) about robot axis 0 right, 1 forward or 2 up."""
+    s, c = math.sin(angle), math.cos(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R = np.eye(3)
+    R[i, i] = R[j, j] = c
+    R[i, j], R[j, i] = -s, s
+    return R

@@ -1,0 +1,137 @@
+"""What a backend offers: a camera, a base, a clock.
+
+Each of the three is a small abstract class. A new robot is a new `Backend`; nothing above the
+hardware layer knows which one is running.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Self
+
+from hal.central_camera import CentralCamera
+from hal.types import BaseStatus, Frame, Odometry, Pose, Velocity
+from robots import Robot
+
+
+class Clock(ABC):
+    """Steady time in seconds. Simulated clocks advance their world while they "sleep"."""
+
+    #: True where time stands still between two ``sleep_until`` calls (a stepped simulation).
+    lockstep: bool = False
+
+    @abstractmethod
+    def now(self) -> float:
+        """Return the time (s); it never goes back."""
+
+    @abstractmethod
+    def sleep_until(self, deadline: float) -> None:
+        """Return at ``deadline`` (s), or at once if it has passed."""
+
+
+class Camera(ABC):
+    """A calibrated central camera on the robot."""
+
+    def __init__(self, model: CentralCamera) -> None:
+        self.model = model
+
+    @abstractmethod
+    def read(self) -> Frame:
+        """Return the newest frame without waiting for the next one.
+
+        Raises
+        ------
+        CameraError
+            There is none, or it is not what the calibration says.
+        StaleFrameError
+            The newest one is older than the camera's age limit.
+        """
+
+
+class Base(ABC):
+    """A mobile base that takes (v, ω)."""
+
+    @abstractmethod
+    def command(self, velocity: Velocity) -> Velocity:
+        """Set the velocity and return what was really sent, after limits and quantisation.
+
+        Raises
+        ------
+        LinkError
+            The base cannot be reached.
+        """
+
+    @abstractmethod
+    def odometry(self) -> Odometry:
+        """Return the newest odometry."""
+
+    def status(self) -> BaseStatus:
+        """Return the base's health; the default is a base that has nothing to report."""
+        return BaseStatus()
+
+    def stop(self) -> None:
+        """Bring the base to a standstill as fast as it safely can. May be called at any time."""
+        self.command(Velocity(0.0, 0.0))
+
+
+class Backend(ABC):
+    """A robot with its camera and clock, opened as a context manager.
+
+    Leaving the context stops the base and releases every device, whatever happened.
+    """
+
+    robot: Robot
+    camera: Camera
+    base: Base
+    clock: Clock
+
+    @abstractmethod
+    def open(self) -> None:
+        """Connect to the devices (or build the world).
+
+        Raises
+        ------
+        DeviceError, InputError
+            A device is missing; the scenario cannot be set up. Nothing is left open.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop the base and release the devices. Safe to call twice, and after a failed open."""
+
+    def teach(self, count: int = 1) -> list[Frame]:
+        """Return ``count`` frames taken at the target pose, by visiting it.
+
+        Only simulated robots can do this; hardware returns an empty list and needs a target
+        file. Afterwards the robot stands at its start.
+        """
+        del count
+        return []
+
+    def truth(self) -> Pose | None:
+        """Return the camera's true pose in the target's frame where it is known.
+
+        For evaluation only: no plugin ever sees it.
+        """
+        return None
+
+    def collisions(self) -> int:
+        """Return how many contacts with anything but the floor there have been since opening."""
+        return 0
+
+    def __enter__(self) -> Self:
+        try:
+            self.open()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

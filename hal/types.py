@@ -1,0 +1,77 @@
+"""The data that crosses the hardware boundary. SI units and radians everywhere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Pose(NamedTuple):
+    """Planar pose of a camera: x right, y forward (m), φ counter-clockwise from y (rad)."""
+
+    x: float
+    y: float
+    phi: float
+
+
+class Velocity(NamedTuple):
+    """Forward speed v (m/s) and turning rate ω (rad/s, counter-clockwise)."""
+
+    v: float
+    omega: float
+
+    @property
+    def finite(self) -> bool:
+        """Whether both components are finite numbers."""
+        return math.isfinite(self.v) and math.isfinite(self.omega)
+
+
+STANDSTILL = Velocity(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Features:
+    """Identified image features, as a camera that solves the correspondence delivers them.
+
+    ids : (N,) int array, strictly increasing; the same id is the same feature in every frame.
+    pixels : (N, 2) array, (u, v) in pixels, the centre of the first pixel at (0, 0).
+    """
+
+    ids: NDArray[np.int64]
+    pixels: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture: a grey image, or identified features, or both.
+
+    stamp : time of exposure on the backend's clock (s).
+    sequence : counts up by one per captured frame; a repeated number is a repeated frame.
+    image : (height, width) uint8, or None for a camera that delivers features only.
+    """
+
+    stamp: float
+    sequence: int
+    image: NDArray[np.uint8] | None = None
+    features: Features | None = None
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Dead-reckoned pose of the base since it was opened, and its measured velocity."""
+
+    stamp: float
+    pose: Pose
+    velocity: Velocity
+
+
+@dataclass(frozen=True)
+class BaseStatus:
+    """Health of the base. ``faults`` are sentences; the robot may move only if it is empty."""
+
+    battery_v: float | None = None
+    faults: tuple[str, ...] = field(default=())

@@ -1,0 +1,22 @@
+"""The root of the error tree.
+
+It lives in the lowest room, so that every room can raise an error that the command line turns
+into one clear line and an exit code.
+"""
+
+
+class VisctrlError(Exception):
+    """Anything this software reports to its user without a traceback."""
+
+    exit_code = 1
+
+
+class InputError(VisctrlError, ValueError):
+    """A file, key, option or image that cannot be used.
+
+    Examples: an unknown key in a scenario, a robot that does not exist, a start inside a wall,
+    a target image of another camera. The message names the thing and the remedy; nothing has
+    been started.
+    """
+
+    exit_code = 2
