@@ -1,0 +1,136 @@
+"""What a base makes of a commanded velocity: bounds, whole units, delay, acceleration ramp.
+
+The mock and the simulated base share it, so that both execute commands as an ARCOS base does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Annotated
+
+from pydantic import Field
+
+from hal.types import STANDSTILL, Velocity
+from robots import Limits
+from robots.documents import Document
+
+_MM = 1000.0
+#: Times this close (s) are the same instant.
+_SAME_INSTANT_S = 1e-9
+
+Fraction = Annotated[float, Field(gt=-1.0, lt=1.0)]
+
+
+class ActuationOptions(Document):
+    """How far a base is from executing its commands at once and exactly.
+
+    quantise : commands go out in whole mm/s and deg/s, the units of the ARCOS protocol.
+    delay_s : time from a command to its effect.
+    slip_v, slip_omega : fractions of the set-point that the robot fails to execute; its
+        odometry does not notice. The robot model applies them, not `Actuation`.
+    """
+
+    quantise: bool = True
+    delay_s: Annotated[float, Field(ge=0.0)] = 0.0
+    slip_v: Fraction = 0.0
+    slip_omega: Fraction = 0.0
+
+    def executed(self, set_point: Velocity) -> Velocity:
+        """Return what is left of a set-point after slip."""
+        return Velocity(
+            (1.0 - self.slip_v) * set_point.v, (1.0 - self.slip_omega) * set_point.omega
+        )
+
+
+class Actuation:
+    """Turns commands into the velocity set-point of the wheels.
+
+    Parameters
+    ----------
+    limits : Limits or None
+        Bounds of speed and acceleration; None for an ideal base that has none.
+    options : ActuationOptions
+        Quantisation and delay.
+    """
+
+    def __init__(self, limits: Limits | None, options: ActuationOptions) -> None:
+        self._limits = limits
+        self._options = options
+        self._pending: deque[tuple[float, Velocity]] = deque()
+        self._wanted = STANDSTILL
+        self._set_point = STANDSTILL
+
+    def request(self, t: float, velocity: Velocity) -> Velocity:
+        """Take a command at time ``t`` (s) and return what is really sent.
+
+        v and ω are scaled down together, so that a bound leaves the path's curvature as it is.
+        The command acts from ``t + delay_s`` on.
+
+        Raises
+        ------
+        ValueError
+            The velocity is not finite.
+        """
+        if not velocity.finite:
+            raise ValueError(f"velocity command is not finite: {velocity}")
+        sent = self._bounded(velocity)
+        if self._options.quantise:
+            sent = self._quantised(sent)
+        self._pending.append((t + self._options.delay_s, sent))
+        return sent
+
+    def velocity_at(self, t: float, dt: float) -> Velocity:
+        """Advance the ramp over the step from ``t`` to ``t + dt`` and return its end value.
+
+        Commands that act by ``t`` count. Each of v and ω moves towards the newest one at its
+        own acceleration bound, as the base's firmware does; with ramps, delays or both, steps
+        should be short against the command period.
+        """
+        while self._pending and self._pending[0][0] <= t + _SAME_INSTANT_S:
+            self._wanted = self._pending.popleft()[1]
+        if self._limits is None:
+            self._set_point = self._wanted
+        else:
+            dv = self._limits.acceleration_m_s2 * dt
+            dw = self._limits.angular_acceleration_rad_s2 * dt
+            self._set_point = Velocity(
+                _towards(self._set_point.v, self._wanted.v, dv),
+                _towards(self._set_point.omega, self._wanted.omega, dw),
+            )
+        return self._set_point
+
+    def halt(self) -> None:
+        """Forget every command and stand still at once (the world is being put back)."""
+        self._pending.clear()
+        self._wanted = self._set_point = STANDSTILL
+
+    def _bounded(self, velocity: Velocity) -> Velocity:
+        if self._limits is None:
+            return velocity
+        excess = max(
+            1.0,
+            abs(velocity.v) / self._limits.v_m_s,
+            abs(velocity.omega) / self._limits.omega_rad_s,
+        )
+        return Velocity(velocity.v / excess, velocity.omega / excess)
+
+    def _quantised(self, velocity: Velocity) -> Velocity:
+        top_mm = self._limits.v_m_s * _MM if self._limits else math.inf
+        top_deg = self._limits.omega_deg_s if self._limits else math.inf
+        v_mm = _whole(velocity.v * _MM, top_mm)
+        omega_deg = _whole(math.degrees(velocity.omega), top_deg)
+        return Velocity(v_mm / _MM, math.radians(omega_deg))
+
+
+def _whole(value: float, bound: float) -> int:
+    """Return the integer nearest to ``value`` that does not exceed ``bound`` in magnitude."""
+    nearest = math.floor(abs(value) + 0.5)
+    if nearest > bound + 1e-9:
+        nearest -= 1
+    return int(math.copysign(nearest, value))
+
+
+def _towards(value: float, goal: float, step: float) -> float:
+    """Return ``value`` moved to ``goal`` by at most ``step``."""
+    return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)
