@@ -1,0 +1,89 @@
+"""Faults that simulated devices show on demand, so that what happens then can be tested."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from hal.errors import LinkError
+from hal.types import Features, Frame
+from robots.documents import Document
+
+
+def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
+    start, end = interval
+    if not 0.0 <= start < end:
+        raise ValueError("expected [start, end] in seconds with 0 <= start < end")
+    return interval
+
+
+#: [start, end) in seconds on the backend's clock since it was opened.
+Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+
+
+class Faults(Document):
+    """When devices misbehave; by default they never do.
+
+    A frozen camera repeats its last frame, stamp and sequence number included. A black one
+    delivers new frames that show nothing. While the link is dead, every command fails. A
+    dropped frame is the previous one, read again.
+    """
+
+    camera_frozen_s: Interval | None = None
+    camera_black_s: Interval | None = None
+    link_dead_s: Interval | None = None
+    frame_drop_probability: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+
+
+def active(interval: tuple[float, float] | None, t: float) -> bool:
+    """Return whether ``t`` (s) lies in the interval; None is never active."""
+    return interval is not None and interval[0] <= t < interval[1]
+
+
+def check_link(faults: Faults, t: float) -> None:
+    """Raise `LinkError` if the link to the base is dead at ``t`` (s)."""
+    if active(faults.link_dead_s, t):
+        raise LinkError(f"the base does not answer (simulated dead link at {t:.2f} s)")
+
+
+def blackened(frame: Frame) -> Frame:
+    """Return ``frame`` as a covered camera delivers it: zeros, and no feature."""
+    image = None if frame.image is None else np.zeros_like(frame.image)
+    features = None
+    if frame.features is not None:
+        features = Features(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+    return replace(frame, image=image, features=features)
+
+
+class FaultyCapture:
+    """Puts the camera's faults between the capture of a frame and its delivery.
+
+    Parameters
+    ----------
+    faults : Faults
+        What happens when.
+    rng : numpy Generator
+        Decides which frames are dropped; used only where the probability is not zero.
+    """
+
+    def __init__(self, faults: Faults, rng: np.random.Generator) -> None:
+        self._faults = faults
+        self._rng = rng
+        self._last: Frame | None = None
+
+    def deliver(self, t: float, capture: Callable[[], Frame]) -> Frame:
+        """Return what the camera delivers at ``t`` (s); ``capture`` is called for new frames."""
+        if self._last is not None and self._repeats(t):
+            return self._last
+        frame = capture()
+        self._last = blackened(frame) if active(self._faults.camera_black_s, t) else frame
+        return self._last
+
+    def _repeats(self, t: float) -> bool:
+        probability = self._faults.frame_drop_probability
+        dropped = probability > 0.0 and self._rng.random() < probability
+        return dropped or active(self._faults.camera_frozen_s, t)
