@@ -1,0 +1,1 @@
+"""Controllers: from geometry to a velocity."""

@@ -1,0 +1,1 @@
+"""Estimators: from features in three views to geometry with a covariance."""

@@ -1,0 +1,1 @@
+"""Pure functions on arrays: the geometry of two and three views."""
