@@ -1,0 +1,1 @@
+"""Perception: from frames to the same features seen in three views."""

@@ -1,0 +1,119 @@
+"""Is this a picture that can be used, and is it as bright as the last one?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.central_camera import CentralCamera
+from hal.errors import InputError
+from hal.types import Frame
+from visctrl.perception.unwrap import Canvas
+
+Grey = NDArray[np.uint8]
+
+# Standard brightness and contrast; nearly three deviations fit into 8 bits.
+_MEAN, _SD = 128.0, 45.0
+# A scene has more contrast than this (grey levels); sensor noise, averaged over 4x4, has less.
+_BLANK_SD = 3.0
+# Frames of one pose are more alike than this, whatever the noise.
+_SAME_POSE_CORRELATION = 0.7
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A frame drawn on the canvas, at standard brightness and contrast.
+
+    image : (rows, columns) uint8.
+    mean, contrast : of the frame as it came, within the field of view (grey levels).
+    """
+
+    image: Grey
+    mean: float
+    contrast: float
+
+    @property
+    def blank(self) -> bool:
+        """Whether there is nothing in it."""
+        return self.contrast < _BLANK_SD
+
+    @property
+    def complaint(self) -> str:
+        """What is wrong with a blank picture, and what to do."""
+        return (
+            f"is blank (mean {self.mean:.0f}, contrast {self.contrast:.1f} of 255): check the "
+            "light, the lens and the exposure"
+        )
+
+
+def draw(image: Grey, canvas: Canvas) -> Picture:
+    """Draw a camera image on a canvas and bring it to standard brightness and contrast.
+
+    Lucas–Kanade compares grey levels, so that a change of exposure would look like motion.
+    """
+    warped = canvas.warp(image)
+    # Averaged over 4x4 pixels, sensor noise no longer passes for contrast.
+    size = (warped.shape[1] // 4, warped.shape[0] // 4)
+    coarse = cv2.resize(warped, size, interpolation=cv2.INTER_AREA)
+    field = cv2.resize(canvas.field, size, interpolation=cv2.INTER_NEAREST)
+    average, deviation = cv2.meanStdDev(coarse, mask=field)
+    mean, contrast = float(average.item()), float(deviation.item())
+    gain = _SD / max(contrast, _BLANK_SD)
+    levels = np.clip(np.rint(_MEAN + gain * (np.arange(256) - mean)), 0, 255).astype(np.uint8)
+    return Picture(np.asarray(cv2.LUT(warped, levels), dtype=np.uint8), mean, contrast)
+
+
+def checked(frame: Frame, camera: CentralCamera, what: str) -> Grey:
+    """Return a frame's image after checking that it can be of this camera.
+
+    Raises
+    ------
+    InputError
+        There is no image, or it has another size or type; ``what`` names it.
+    """
+    image = frame.image
+    if image is None:
+        raise InputError(
+            f"{what} has no image, only identified features: use the perception 'features'"
+        )
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise InputError(f"{what} is not an 8-bit grey image (shape {image.shape}, {image.dtype})")
+    height, width = image.shape
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"{what} is {width}x{height}, but camera '{camera.name}' takes "
+            f"{camera.width}x{camera.height}: use an image taken with this camera, or choose the "
+            "camera that took it"
+        )
+    return image
+
+
+def averaged(images: Sequence[Grey]) -> Grey:
+    """Return the mean of several images of one pose.
+
+    Raises
+    ------
+    InputError
+        One of them shows something else: the camera moved.
+    """
+    mean = np.mean(np.stack(images), axis=0)
+    for number, image in enumerate(images):
+        if _correlation(image, mean) < _SAME_POSE_CORRELATION:
+            raise InputError(
+                f"target image {number + 1} of {len(images)} differs from the others: take them "
+                "all from one pose, with nothing moving"
+            )
+    return np.asarray(np.rint(mean), dtype=np.uint8)
+
+
+def _correlation(a: Grey, b: NDArray[np.float64]) -> float:
+    """Return the correlation of two images (1 where one has no contrast at all)."""
+    size = (a.shape[1] // 4, a.shape[0] // 4)
+    x, y = (cv2.resize(i.astype(np.float32), size, interpolation=cv2.INTER_AREA) for i in (a, b))
+    x, y = x - x.mean(), y - y.mean()
+    norm = float(np.sqrt((x**2).sum() * (y**2).sum()))
+    return float((x * y).sum()) / norm if norm > 0.0 else 1.0
