@@ -1,0 +1,166 @@
+"""Robust refinement of trifocal tensors on bearing residuals, with covariance.
+
+The refinement works in the coordinates z of a linear family T = basis·z (see
+`trifocal_solvers`), on the unit sphere: T is projective, so is z. With a known initial view,
+z = (cos φ2, sin φ2, t_x2, t_y2) up to scale, and its three degrees of freedom are the pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from visctrl.geometry.trifocal import (
+    Trilinear,
+    current_view_basis,
+    initial_view_basis,
+    sampson_jacobian,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Soft-L1 scale and width of the redescending kernel, in spreads of the residuals.
+_WIDE, _NARROW = 1.5, 4.0
+#: Longest step on the unit sphere.
+_LONGEST_STEP = 0.3
+_CONVERGED = 1e-9
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Refined coordinates of a tensor.
+
+    z : (k,) of unit length.
+    covariance : (k, k), first order; singular along z.
+    information : (k, k), its inverse across z.
+    residuals : (N,) in rad.
+    weights : (N,) of the last iteration, in 0…1.
+    spread : robust standard deviation of the residuals (rad), at least the promised one.
+    inliers : (N,) features within three spreads.
+    """
+
+    z: Array
+    covariance: Array
+    information: Array
+    residuals: Array
+    weights: Array
+    spread: float
+    inliers: Mask
+
+
+def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int = 12) -> Fit:
+    """Refine coordinates by robust Gauss–Newton on Sampson residuals.
+
+    A soft-L1 kernel as wide as the residuals at hand leads to the minimum; a redescending one
+    (Geman–McClure) then removes what outliers still pull. Its width follows the spread of the
+    residuals, never ``sigma`` alone: narrower than the tracks' drift, it would lock on to
+    whichever few features happen to agree.
+
+    Parameters
+    ----------
+    relation : Trilinear
+        Of N features, in the coordinates to refine.
+    start : (k,) array
+        Where to start; any length.
+    sigma : float
+        Standard deviation of one direction (rad).
+    iterations : int
+        At most this many steps with each kernel.
+    """
+    z = start / np.linalg.norm(start)
+    for kernel in (_soft_l1, _geman_mcclure):
+        for _ in range(iterations):
+            residual, jacobian = sampson_jacobian(relation, z)
+            weights = kernel(residual / _spread(residual, sigma))
+            step = _step(jacobian, residual, weights, z)
+            z = z + step
+            z /= np.linalg.norm(z)
+            if float(step @ step) < _CONVERGED**2:
+                break
+    residual, jacobian = sampson_jacobian(relation, z)
+    spread = _spread(residual, sigma)
+    weights = _geman_mcclure(residual / spread)
+    information = (weights[:, None] * jacobian).T @ jacobian / spread**2
+    return Fit(
+        z,
+        _tangent_inverse(information, z),
+        information,
+        residual,
+        weights,
+        spread,
+        np.abs(residual) < 3.0 * spread,
+    )
+
+
+def view_of(z: Array) -> tuple[float, Array]:
+    """Return the heading (rad) and target position (2,) that view coordinates z (4,) stand for.
+
+    The unit is that of the other view. z and −z are the same tensor; the sign must be right.
+    """
+    return float(np.arctan2(z[1], z[0])), np.asarray(z[2:] / np.hypot(z[0], z[1]))
+
+
+def view_jacobian(z: Array) -> Array:
+    """Return the derivative (3, 4) of (φ, t_x, t_y) by z (see `view_of`)."""
+    square = z[0] ** 2 + z[1] ** 2
+    norm = np.sqrt(square)
+    J = np.zeros((3, 4))
+    J[0, :2] = -z[1] / square, z[0] / square
+    J[1:, :2] = -np.outer(z[2:], z[:2]) / (square * norm)
+    J[1, 2] = J[2, 3] = 1.0 / norm
+    return J
+
+
+def sensitivity(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Array) -> Array:
+    """Return dz/dq (4, m) of a fit with a known initial view p1(q), to first order.
+
+    Parameters
+    ----------
+    relation : Trilinear
+        Of the features, in the tensor's own coordinates (k = 8).
+    fit : Fit
+        Made within ``current_view_basis(view_1)``.
+    view_1, view_1_jacobian : (4,), (4, m) arrays
+        The initial view's parameters, and their derivatives by what they depend on.
+    """
+    _, by_tensor = sampson_jacobian(relation, current_view_basis(view_1) @ fit.z)
+    by_z = by_tensor @ current_view_basis(view_1)
+    by_q = by_tensor @ initial_view_basis(fit.z) @ view_1_jacobian
+    weighted = fit.weights[:, None] / fit.spread**2
+    return np.asarray(-fit.covariance @ (weighted * by_z).T @ by_q)
+
+
+def _soft_l1(scaled: Array) -> Array:
+    return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _WIDE) ** 2))
+
+
+def _geman_mcclure(scaled: Array) -> Array:
+    return np.asarray(1.0 / (1.0 + (scaled / _NARROW) ** 2) ** 2)
+
+
+def _spread(residual: Array, sigma: float) -> float:
+    """Return the robust standard deviation of the residuals, at least ``sigma``."""
+    return max(sigma, 1.4826 * float(np.median(np.abs(residual))))
+
+
+def _step(jacobian: Array, residual: Array, weights: Array, z: Array) -> Array:
+    """Return the Gauss–Newton step (k,) across z, bounded."""
+    weighted = weights[:, None] * jacobian
+    H = weighted.T @ jacobian
+    # The residuals do not depend on |z|: the added term fixes it and changes nothing else.
+    size = float(np.trace(H)) + 1e-300
+    step = -np.linalg.solve(
+        H + size * np.outer(z, z) + 1e-12 * size * np.eye(len(z)), weighted.T @ residual
+    )
+    return np.asarray(step * min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300)))
+
+
+def _tangent_inverse(information: Array, z: Array) -> Array:
+    """Return the inverse of ``information`` across z (its null direction)."""
+    size = float(np.trace(information)) + 1e-300
+    inverse = np.linalg.inv(information + size * np.outer(z, z) + 1e-12 * size * np.eye(len(z)))
+    across = np.eye(len(z)) - np.outer(z, z)
+    return np.asarray(across @ inverse @ across)
