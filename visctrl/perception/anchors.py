@@ -1,4 +1,4 @@
-"""Tracks held to the fixed views: where does the patch of the target, or of the start, lie now?"""
+"""Tracks held to the fixed views, where their patches are recognised."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.perception.landmarks import ALIKE, Landmarks
-from visctrl.perception.patches import Alignment, Patches, Values
+from visctrl.perception.patches import Values
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 REACH_PX = 2.5
 # Patches stretched by more than this, either way, are not compared.
 _MAX_STRETCH = 2.5
+# A view that weighs less than this against the other is left out, but asked again this often.
+_WORTH, _ASK_AGAIN = 0.1, 8
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Anchors:
         self._landmarks = landmarks
         self._views = (landmarks.target_patches, landmarks.initial_patches)
         self._warps = np.zeros((2, len(landmarks), 2, 2))
+        self._weights = np.zeros((2, len(landmarks)))
+        self._calls = 0
         self.expect(np.arange(len(landmarks)), landmarks.map.initial_pose)
 
     def expect(self, which: Indices, pose: Array) -> Array:
@@ -51,32 +55,49 @@ class Anchors:
         return rays
 
     def hold(self, image: Values, which: Indices, points: Array, iterations: int = 3) -> Anchored:
-        """Align landmarks (M,) expected at points (M, 2) of an image (see `prepared`)."""
+        """Align landmarks (M,) expected at points (M, 2) of an image (see `prepared`).
+
+        The view that said next to nothing about a landmark is asked about it again only once in
+        a while.
+        """
         total = np.zeros(len(which))
         place = np.zeros_like(points)
-        for view, patches in enumerate(self._views):
-            found, weight = self._align(view, patches, image, which, points, iterations)
-            place += weight[:, None] * found.points
-            total += weight
+        due = (which + self._calls) % _ASK_AGAIN == 0
+        self._calls += 1
+        worth = [self._weights[v, which] >= _WORTH * self._weights[1 - v, which] for v in (0, 1)]
+        for view in (0, 1):
+            asked = np.flatnonzero(worth[view] | due)
+            found, weight = self._align(view, image, which[asked], points[asked], iterations)
+            place[asked] += weight[:, None] * found
+            total[asked] += weight
         held = total > 0.0
-        return Anchored(
-            np.where(held[:, None], place / np.maximum(total, 1e-12)[:, None], points), held
-        )
+        place /= np.where(held, total, 1.0)[:, None]
+        return Anchored(np.where(held[:, None], place, points), held)
 
     def _align(
         self,
         view: int,
-        patches: Patches,
         image: Values,
         which: Indices,
         points: Array,
         iterations: int,
-    ) -> tuple[Alignment, Array]:
-        """Return the alignment on one view and its weights (M,), 0 where it is not trusted."""
-        found = patches.align(image, which, points, self._warps[view, which], iterations)
+    ) -> tuple[Array, Array]:
+        """Return places (M, 2) by one view and their weights (M,), 0 where not to be trusted."""
+        start = self._warps[view, which]
+        found = self._views[view].align(image, which, points, start, iterations)
         moved = np.linalg.norm(found.points - points, axis=-1)
-        stretch = np.linalg.svd(found.warps, compute_uv=False)
-        sane = (stretch[:, 0] < _MAX_STRETCH) & (stretch[:, 1] > 1.0 / _MAX_STRETCH)
-        good = (found.score > ALIKE) & (moved < REACH_PX) & sane
+        good = (found.score > ALIKE) & (moved < REACH_PX) & _sane(found.warps)
         self._warps[view, which[good]] = found.warps[good]
-        return found, np.where(good, 1.0 / (1.02 - found.score) ** 2, 0.0)
+        weights = np.where(good, 1.0 / (1.02 - found.score) ** 2, 0.0)
+        self._weights[view, which] = weights
+        return found.points, weights
+
+
+def _sane(warps: Array) -> Mask:
+    """Return whether warps (M, 2, 2) neither stretch, squash nor mirror a patch too much."""
+    # The sum of the squared singular values, and their product.
+    square = (warps**2).sum(axis=(1, 2))
+    product = warps[:, 0, 0] * warps[:, 1, 1] - warps[:, 0, 1] * warps[:, 1, 0]
+    root = np.sqrt(np.maximum(square**2 - 4.0 * product**2, 0.0))
+    largest, smallest = np.sqrt((square + root) / 2.0), np.sqrt(np.maximum(square - root, 0) / 2.0)
+    return np.asarray((product > 0.0) & (largest < _MAX_STRETCH) & (smallest > 1.0 / _MAX_STRETCH))

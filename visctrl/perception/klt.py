@@ -24,7 +24,7 @@ from visctrl.perception.pictures import Picture
 from visctrl.perception.reacquisition import Reacquisition
 from visctrl.perception.selection import spread
 from visctrl.perception.three_view import Fit
-from visctrl.perception.tracker import track
+from visctrl.perception.tracker import follow, returns
 from visctrl.plugins import Context, Signal, Views
 
 Array = NDArray[np.float64]
@@ -106,6 +106,7 @@ class Klt(NaturalPerception[KltOptions]):
         self._tracks = _Tracks(np.sort(chosen), landmarks.initial.points[np.sort(chosen)])
         self._at_start = len(chosen)
         self._pose = landmarks.map.initial_pose
+        self._step = np.zeros(3)
         self._sigma = _SIGMA_PX / canvas.scale
         self._turn = 0
         self._values = {}
@@ -113,8 +114,8 @@ class Klt(NaturalPerception[KltOptions]):
     def _measure(self, picture: Picture, stamp: float) -> Views:
         assert self._search is not None
         values = prepared(picture.image)
-        tracks = self._held(values, self._followed(picture.image))
-        fit = self._fit(tracks, self._pose)
+        tracks = self._followed(picture.image, values)
+        fit = self._fit(tracks, self._pose + self._step)
         found = self._search.take(picture.image)
         recovered = 0
         if found is not None and not self._trusted(fit):
@@ -124,7 +125,7 @@ class Klt(NaturalPerception[KltOptions]):
             recovered = len(tracks)
         trusted = self._trusted(fit)
         if trusted:
-            self._pose = fit.pose
+            self._pose, self._step = fit.pose, fit.pose - self._pose
             self._learn_sigma(fit)
             tracks = tracks.subset(fit.inliers)
             sought = self._recovered(values, tracks)
@@ -142,15 +143,24 @@ class Klt(NaturalPerception[KltOptions]):
         shown = tracks.only_held() if tracks.mostly_held else tracks
         return self._views(shown.which, shown.points, self._sigma, stamp)
 
-    def _followed(self, image: Grey) -> _Tracks:
-        """Return the tracks in a new picture, without those that Lucas–Kanade loses."""
-        which = self._tracks.which
-        points, kept = track(
-            self._image, image, self._tracks.points, tolerance=self.options.backward_px
-        )
-        points = self.canvas.canonical(points)
+    def _followed(self, image: Grey, values: Values) -> _Tracks:
+        """Return the tracks in a new picture, without those that are lost.
+
+        To recognise a fixed view's patch proves more than to track back; only the others have
+        to do that.
+        """
+        before = self._tracks
+        moved, kept = follow(self._image, image, before.points)
+        points = self.canvas.canonical(moved)
         kept &= self.canvas.inside(points, MARGIN_PX)
-        return _Tracks(which[kept], points[kept])
+        tracks = self._held(values, _Tracks(before.which[kept], points[kept]))
+        doubtful = np.flatnonzero(kept)[~tracks.held]
+        returned = returns(
+            image, self._image, moved[doubtful], before.points[doubtful], self.options.backward_px
+        )
+        kept = tracks.held.copy()
+        kept[~kept] = returned
+        return tracks.subset(kept)
 
     def _held(self, values: Values, tracks: _Tracks) -> _Tracks:
         """Return the tracks aligned on the fixed views where these are recognised."""

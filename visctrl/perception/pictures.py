@@ -1,4 +1,4 @@
-"""Is this a picture that can be used, and is it as bright as the last one?"""
+"""Pictures that can be used, at one brightness."""
 
 from __future__ import annotations
 
@@ -57,9 +57,10 @@ def draw(image: Grey, canvas: Canvas) -> Picture:
     """
     warped = canvas.warp(image)
     # Averaged over 4x4 pixels, sensor noise no longer passes for contrast.
-    size = (warped.shape[1] // 4, warped.shape[0] // 4)
-    coarse = cv2.resize(warped, size, interpolation=cv2.INTER_AREA)
-    field = cv2.resize(canvas.field, size, interpolation=cv2.INTER_NEAREST)
+    field = canvas.coarse_field
+    rows, columns = field.shape
+    whole = warped[: 4 * rows, : 4 * columns]
+    coarse = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
     average, deviation = cv2.meanStdDev(coarse, mask=field)
     mean, contrast = float(average.item()), float(deviation.item())
     gain = _SD / max(contrast, _BLANK_SD)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.perception.landmarks import Recognised
-from visctrl.perception.tracker import track
+from visctrl.perception.tracker import follow
 from visctrl.perception.unwrap import Canvas
 
 Array = NDArray[np.float64]
@@ -90,7 +91,7 @@ class Reacquisition:
         One way only: what goes astray does not survive the comparison with the fixed views.
         """
         which, points = found.which, found.points
-        for before, after in zip(pictures[:-1], pictures[1:], strict=True):
-            points, kept = track(before, after, points, tolerance=None)
+        for before, after in pairwise(pictures):
+            points, kept = follow(before, after, points)
             which, points = which[kept], self._canvas.canonical(points[kept])
         return Recognised(which, points, found.fit)

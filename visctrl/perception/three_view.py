@@ -27,6 +27,8 @@ _INVERSE_DISTANCES = np.r_[0.0, np.geomspace(0.02, 12.0, 40)]
 _PRIOR_INVERSE_DISTANCE_SD = 3.0
 _GATE_SIGMAS = 4.0
 _OUTLIER_SCALE = 2.0
+# Gauss–Newton steps at most, and the step (baselines, rad) under which noise is larger.
+_STEPS, _SETTLED = 8, 2e-5
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class ThreeViewMap:
         Robust Gauss–Newton (Cauchy weights) on bearings and elevations from ``start``.
         """
         pose = np.array(start, dtype=np.float64)
-        for _ in range(8):
+        for _ in range(_STEPS):
             residual, J, variance = self._linearise(which, rays, pose, sigma)
             scaled = residual**2 / variance
             weight = 1.0 / (variance * (1.0 + scaled.sum(axis=1) / _OUTLIER_SCALE**2)[:, None])
@@ -98,7 +100,7 @@ class ThreeViewMap:
             step = np.linalg.solve(H + np.diag([1.0, 1.0, 1e-3]), g)
             step *= min(1.0, 0.4 / max(float(np.abs(step).max()), 1e-12))
             pose += step
-            if float(np.abs(step).max()) < 1e-6:
+            if float(np.abs(step).max()) < _SETTLED:
                 break
         residual, _, variance = self._linearise(which, rays, pose, sigma)
         inliers = _within_gate(residual, variance)
@@ -132,7 +134,7 @@ class ThreeViewMap:
         """
         c, s = np.cos(pose[2]), np.sin(pose[2])
         offset = self._bearing[which] - inverse[..., None] * pose[:2]
-        return offset @ np.array([[c, -s], [s, c]])
+        return np.asarray(offset @ np.array([[c, -s], [s, c]]), dtype=np.float64)
 
     def _residual(self, q: Array, tangent: Array, rays: Array) -> Array:
         """Return bearing and tangent residuals (..., M, 2): seen minus predicted."""

@@ -1,4 +1,4 @@
-"""Pyramidal Lucas–Kanade from one picture to the next, there and back."""
+"""Pyramidal Lucas–Kanade from one picture to the next, and the test of the way back."""
 
 from __future__ import annotations
 
@@ -16,44 +16,43 @@ LEVELS = 3
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 
 
-def track(
-    previous: Grey, current: Grey, points: Array, *, tolerance: float | None = 0.5
-) -> tuple[Array, Mask]:
-    """Follow points from one image to another.
+def follow(previous: Grey, current: Grey, points: Array) -> tuple[Array, Mask]:
+    """Follow points from one picture to another.
 
     Parameters
     ----------
     previous, current : (rows, columns) uint8
     points : (N, 2) points in ``previous``.
-    tolerance : float, optional
-        Greatest distance (px) between a point and where tracking back from its new place
-        leads. None leaves the way back out.
 
     Returns
     -------
     moved : (N, 2) points in ``current``.
-    kept : (N,) whether the point was found and the way back agrees.
+    found : (N,) whether each was found at all.
     """
     if len(points) == 0:
         return points.copy(), np.zeros(0, dtype=np.bool_)
     start = points.astype(np.float32).reshape(-1, 1, 2)
-    moved, found = _follow(previous, current, start)
-    if tolerance is not None:
-        back, returned = _follow(current, previous, moved)
-        found &= returned & (np.linalg.norm((back - start)[:, 0], axis=-1) <= tolerance)
-    return moved[:, 0].astype(np.float64), found
-
-
-def _follow(
-    previous: Grey, current: Grey, points: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], Mask]:
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
         previous,
         current,
-        points,
-        np.empty_like(points),
+        start,
+        np.empty_like(start),
         winSize=(WINDOW, WINDOW),
         maxLevel=LEVELS,
         criteria=_CRITERIA,
     )
-    return np.asarray(moved, dtype=np.float32), np.asarray(status[:, 0] > 0)
+    return moved[:, 0].astype(np.float64), np.asarray(status[:, 0] > 0)
+
+
+def returns(current: Grey, previous: Grey, moved: Array, points: Array, tolerance: float) -> Mask:
+    """Return whether tracking back leads to where each point came from.
+
+    Parameters
+    ----------
+    current, previous : (rows, columns) uint8
+    moved, points : (N, 2) the points in ``current`` and where they were in ``previous``.
+    tolerance : float
+        Greatest distance (px).
+    """
+    back, found = follow(current, previous, moved)
+    return np.asarray(found & (np.linalg.norm(back - points, axis=-1) <= tolerance))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -47,6 +48,13 @@ class Canvas(ABC):
     @abstractmethod
     def warp(self, image: Grey) -> Grey:
         """Return the camera's image drawn on this canvas."""
+
+    @cached_property
+    def coarse_field(self) -> Grey:
+        """The field at a quarter of the size."""
+        size = (self.shape[1] // 4, self.shape[0] // 4)
+        whole = self.field[: 4 * size[1], : 4 * size[0]]
+        return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
     @abstractmethod
     def rays(self, points: ArrayLike) -> Array:

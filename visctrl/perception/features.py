@@ -1,0 +1,150 @@
+"""Perception for cameras that deliver identified features: matching is by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hal.central_camera import CentralCamera
+from hal.types import Features, Frame
+from robots.documents import Document
+from robots.errors import InputError
+from visctrl.plugins import Array, Context, Health, Match, Perception, Views
+
+Ids = NDArray[np.int64]
+#: Step of the finite differences that turn pixels into angles (px).
+_STEP_PX = 0.5
+
+
+class FeaturesOptions(Document):
+    """Options of `IdentifiedFeatures`.
+
+    noise_px : standard deviation of a feature's position that the robot counts on.
+    min_features : fewer than this in common with the target and initial views are no view.
+    """
+
+    noise_px: Annotated[float, Field(gt=0.0)] = 0.5
+    min_features: Annotated[int, Field(ge=3)] = 8
+
+
+class IdentifiedFeatures(Perception[FeaturesOptions]):
+    """Takes features as the camera names them and turns them into rays.
+
+    Several target frames are averaged, feature by feature.
+    """
+
+    Options: ClassVar[type[FeaturesOptions]] = FeaturesOptions
+
+    def __init__(self, options: FeaturesOptions, context: Context) -> None:
+        super().__init__(options, context)
+        self._camera = context.camera
+        self._target = _Seen.nothing()
+        self._common = _Seen.nothing()
+        self._common_target: Array = np.empty((0, 3))
+        self._sigma = 0.0
+
+    def set_target(self, frames: Sequence[Frame]) -> None:
+        """Take the mean position of each feature that most frames show (see the contract)."""
+        features = [_features_of(frame) for frame in frames]
+        ids = np.concatenate([each.ids for each in features])
+        pixels = np.concatenate([each.pixels for each in features])
+        names, index, count = np.unique(ids, return_inverse=True, return_counts=True)
+        mean = np.zeros((len(names), 2))
+        np.add.at(mean, index, pixels)
+        mean /= count[:, None]
+        often = 2 * count > len(features)
+        self._target = _Seen.of(Features(names[often], mean[often]), self._camera)
+        self._require(len(self._target.ids), "the target view shows")
+        self._sigma = self.options.noise_px * _bearing_per_pixel(self._camera, self._target.pixels)
+
+    def set_initial(self, frame: Frame) -> Match:
+        """Take the features that this view and the target's have in common."""
+        initial = _Seen.of(_features_of(frame), self._camera)
+        _, in_target, here = np.intersect1d(
+            self._target.ids, initial.ids, assume_unique=True, return_indices=True
+        )
+        self._require(len(here), "the target is not recognised from here: it shares")
+        self._common = initial.at(here)
+        self._common_target = self._target.rays[in_target]
+        return Match(
+            candidates=len(here),
+            inliers=len(here),
+            target_pixels=self._target.pixels[in_target],
+            initial_pixels=self._common.pixels,
+        )
+
+    def update(self, frame: Frame) -> Views:
+        """Return the features that all three views show."""
+        current = _Seen.of(_features_of(frame), self._camera)
+        target, initial = self._common_target, self._common.rays
+        if not np.array_equal(current.ids, self._common.ids):
+            _, common, here = np.intersect1d(
+                self._common.ids, current.ids, assume_unique=True, return_indices=True
+            )
+            current, target, initial = current.at(here), target[common], initial[common]
+        count = len(current.ids)
+        lost = count < self.options.min_features
+        return Views(
+            ids=current.ids,
+            target=target,
+            initial=initial,
+            current=current.rays,
+            pixels=current.pixels,
+            sigma=self._sigma,
+            stamp=frame.stamp,
+            health=Health.LOST if lost else Health.OK,
+            reason=f"{count} features of {self.options.min_features} needed" if lost else "",
+        )
+
+    def _require(self, count: int, what: str) -> None:
+        if count < self.options.min_features:
+            raise InputError(f"{what} {count} features, {self.options.min_features} are needed")
+
+
+class _Seen:
+    """Features of one view with their rays, those without a ray left out."""
+
+    def __init__(self, ids: Ids, pixels: Array, rays: Array) -> None:
+        self.ids = ids
+        self.pixels = pixels
+        self.rays = rays
+
+    @classmethod
+    def nothing(cls) -> _Seen:
+        return cls(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
+
+    @classmethod
+    def of(cls, features: Features, camera: CentralCamera) -> _Seen:
+        rays, valid = camera.robot_rays(features.pixels)
+        if valid.all():
+            return cls(features.ids, features.pixels, rays)
+        return cls(features.ids[valid], features.pixels[valid], rays[valid])
+
+    def at(self, index: NDArray[np.intp]) -> _Seen:
+        return _Seen(self.ids[index], self.pixels[index], self.rays[index])
+
+
+def _features_of(frame: Frame) -> Features:
+    if frame.features is None:
+        raise InputError(
+            "perception 'features' needs a camera that delivers identified features (the mock's); "
+            "images need perception 'klt'"
+        )
+    return frame.features
+
+
+def _bearing_per_pixel(camera: CentralCamera, pixels: Array) -> float:
+    """Return the median change of bearing (rad) that one pixel makes at ``pixels`` (N, 2)."""
+    squared = np.zeros(len(pixels))
+    for axis in range(2):
+        step = np.zeros(2)
+        step[axis] = _STEP_PX
+        ahead, behind = (camera.robot_rays(pixels + sign * step)[0] for sign in (1.0, -1.0))
+        cross = ahead[:, 0] * behind[:, 1] - ahead[:, 1] * behind[:, 0]
+        dot = ahead[:, 0] * behind[:, 0] + ahead[:, 1] * behind[:, 1]
+        squared += (np.arctan2(cross, dot) / (2.0 * _STEP_PX)) ** 2
+    return float(np.sqrt(np.nanmedian(squared) / 2.0))
