@@ -1,0 +1,171 @@
+"""Tensor with a known initial view: three unknowns a tick, followed robustly."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.types import Velocity
+from robots.unicycle import relative_pose
+from visctrl.estimation.initial_view import InitialView
+from visctrl.estimation.scale import DeadReckoning, PathScale
+from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
+from visctrl.geometry.planar import ransac_planar_motion
+from visctrl.geometry.trifocal import (
+    T121,
+    Trilinear,
+    initial_view_basis,
+    sampson_residuals,
+    trilinear,
+    view_parameters,
+)
+from visctrl.geometry.trifocal_fit import Fit, refine, sensitivity, view_jacobian, view_of
+from visctrl.geometry.trifocal_solvers import ransac
+from visctrl.plugins import Context, Health, Views
+
+Array = NDArray[np.float64]
+
+#: With a smaller share of agreeing features, a solution is searched from scratch as well.
+_DOUBTFUL = 0.6
+#: Residuals may be spread this many times wider than promised (drift of the tracks).
+_DRIFT = 3.0
+
+
+class ConstrainedFit(TensorMethod):
+    """Fits (φ2, t_2) by robust Gauss–Newton; φ1 and the direction of t_1 are found once.
+
+    Lengths are in units of the initial distance to the target, whose metric value comes from
+    comparing the path seen with the path driven.
+    """
+
+    def __init__(self, options: TensorOptions, context: Context) -> None:
+        super().__init__(options, context)
+        self._initial: InitialView | None = None
+        self._reckoning = DeadReckoning(context.limits, context.camera_forward_m)
+        self._scale = PathScale()
+        # Position and heading in the initial view's frame: as driven, and as last seen.
+        self._driven = np.zeros(2)
+        self._velocity = np.zeros(2)
+        self._turned = 0.0
+        self._moved = np.zeros(3)
+        self._view: Array | None = None
+
+    def predict(self, sent: Velocity, dt: float) -> None:
+        """Advance the dead-reckoned path, along the heading that was last seen."""
+        motion = self._reckoning.motion(sent, dt)
+        step = _rotated(motion[:2], self._turned)
+        self._driven = self._driven + step
+        self._velocity = step / dt if dt > 0.0 else np.zeros(2)
+        self._moved[:2] += _rotated(motion[:2], float(self._moved[2]))
+        self._moved[2] += motion[2]
+        self._turned += float(motion[2])
+
+    def measure(self, views: Views) -> Measurement:
+        """Return the tensor of the current view."""
+        initial = self._initial
+        if initial is None:
+            motion = self._initial_motion(views)
+            if isinstance(motion, Measurement):
+                return motion
+            initial = self._initial = motion
+        relation = trilinear(views.initial, views.current, views.target)
+        fit, agreeing = self._fit(relation.within(initial.basis), initial, views.sigma)
+        if agreeing.mean() < self.options.min_inliers:
+            share = f"{int(agreeing.sum())} of {len(views)} features agree on a pose"
+            return Measurement.none(Health.DEGENERATE, f"features disagree: {share}")
+        heading, target = view_of(fit.z)
+        if not math.isfinite(float(target.sum())):
+            return Measurement.none(Health.DEGENERATE, "features clustered: no pose determined")
+        self._follow(initial, heading, target, fit)
+        return self._measurement(initial, relation, fit, int(agreeing.sum()))
+
+    def _initial_motion(self, views: Views) -> InitialView | Measurement:
+        motion = ransac_planar_motion(
+            views.initial,
+            views.target,
+            views.sigma,
+            seed=self.context.seed,
+            threshold_sigmas=self.options.threshold_sigmas,
+            hypotheses=self.options.hypotheses,
+        )
+        if motion.health is not Health.OK:
+            return Measurement.none(motion.health, f"initial and target view: {motion.reason}")
+        return InitialView.of(motion)
+
+    def _fit(
+        self, relation: Trilinear, initial: InitialView, sigma: float
+    ) -> tuple[Fit, NDArray[np.bool_]]:
+        """Return the fit that starts from the prediction, or a better one from scratch."""
+        start = self._predicted(initial)
+        fit = refine(relation, start, sigma)
+        agreeing = self._agreeing(relation, fit, sigma)
+        if agreeing.mean() >= _DOUBTFUL or len(relation) < 4:
+            return fit, agreeing
+        z, _ = ransac(
+            relation,
+            sigma,
+            seed=self.context.seed,
+            threshold_sigmas=self.options.threshold_sigmas,
+            hypotheses=self.options.hypotheses,
+        )
+        # z and −z are one tensor: the robot has not turned half round since the last tick.
+        other = refine(relation, z if z[:2] @ start[:2] >= 0.0 else -z, sigma)
+        others = self._agreeing(relation, other, sigma)
+        return (other, others) if others.sum() > agreeing.sum() else (fit, agreeing)
+
+    def _agreeing(self, relation: Trilinear, fit: Fit, sigma: float) -> NDArray[np.bool_]:
+        limit = self.options.threshold_sigmas * min(fit.spread, _DRIFT * sigma)
+        return np.asarray(np.abs(sampson_residuals(relation, fit.z)) < limit)
+
+    def _predicted(self, initial: InitialView) -> Array:
+        """Return the view parameters (4,) that the driven motion leads to."""
+        last = initial.parameters if self._view is None else self._view
+        scale, _ = self._scale.estimate()
+        unit = 0.0 if math.isnan(scale) else 1.0 / scale
+        dx, dy, turn = self._moved
+        ahead = relative_pose([last[2], last[3], 0.0], [dx * unit, dy * unit, turn])
+        return view_parameters(math.atan2(last[1], last[0]) + turn, ahead[:2])
+
+    def _follow(self, initial: InitialView, heading: float, target: Array, fit: Fit) -> None:
+        """Keep the pose for the next prediction, and compare the paths seen and driven."""
+        self._view = view_parameters(heading, target)
+        self._moved = np.zeros(3)
+        self._turned = heading - initial.phi
+        seen = initial.target - _rotated(target, self._turned)
+        J = view_jacobian(fit.z)[1:]
+        seen_sd = math.sqrt(float(np.trace(J @ fit.covariance @ J.T)) / 2.0)
+        self._scale.update(self._driven, self._velocity, seen, seen_sd)
+
+    def _measurement(
+        self, initial: InitialView, relation: Trilinear, fit: Fit, inliers: int
+    ) -> Measurement:
+        # Lengths in units of the initial distance: T121 has that unit too.
+        z = fit.z / np.hypot(fit.z[0], fit.z[1])
+        basis = initial.basis
+        tensor = basis @ z
+        covariance = basis @ fit.covariance @ basis.T
+        by_initial = sensitivity(relation, fit, initial.parameters, initial.jacobian)
+        shift = basis @ by_initial + initial_view_basis(fit.z) @ initial.jacobian
+        covariance = covariance + shift @ initial.covariance @ shift.T
+        # The covariance is that of the unit z; bring it to the tensor's scale.
+        covariance = covariance / (fit.z[0] ** 2 + fit.z[1] ** 2)
+        distance, distance_sd = self._scale.estimate()
+        return Measurement(
+            Health.OK,
+            "",
+            tensor,
+            covariance,
+            phi_1=initial.phi,
+            scale_m=distance * float(tensor[T121]),
+            scale_sd_m=distance_sd * abs(float(tensor[T121])),
+            inliers=inliers,
+            spread=fit.spread,
+        )
+
+
+def _rotated(vector: Array, angle: float) -> Array:
+    """Return a vector (2,) of a frame turned by ``angle`` (rad) in the unturned frame."""
+    s, c = math.sin(angle), math.cos(angle)
+    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])

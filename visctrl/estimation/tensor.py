@@ -1,0 +1,135 @@
+"""Estimator ``tensor``: the 1D trifocal tensor of the three views, every tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.types import Velocity
+from visctrl.estimation.constrained import ConstrainedFit
+from visctrl.estimation.estimates import TensorEstimate
+from visctrl.estimation.linear import LinearFit
+from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
+from visctrl.geometry.trifocal import ELEMENTS, normalised, normalised_covariance
+from visctrl.plugins import Context, Estimator, Health, Signal, Views
+
+Array = NDArray[np.float64]
+
+_SIGNALS = (
+    *(Signal(name, "1") for name in ELEMENTS),
+    Signal("xi1", "1"),
+    Signal("xi2", "1"),
+    Signal("xi1_sd", "1"),
+    Signal("xi2_sd", "1"),
+    Signal("phi_1", "rad"),
+    Signal("heading", "rad"),
+    Signal("bearing", "rad"),
+    Signal("distance", "m"),
+    Signal("scale", "m"),
+    Signal("scale_sd", "m"),
+    Signal("inliers", "1"),
+    Signal("residual_sd", "rad"),
+)
+
+
+class Tensor(Estimator[TensorOptions, TensorEstimate]):
+    """1D trifocal tensor by a method of choice, scaled by what the robot was told to drive.
+
+    It never raises for what the features show: without a usable tensor it repeats the last one,
+    and health says that it is old.
+    """
+
+    Options: ClassVar[type[TensorOptions]] = TensorOptions
+    signals: ClassVar[tuple[Signal, ...]] = _SIGNALS
+
+    def __init__(self, options: TensorOptions, context: Context) -> None:
+        super().__init__(options, context)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: a new initial view has been taken here."""
+        self._method = self._new_method()
+        self._last = _nothing(self.options)
+        self._measurement: Measurement | None = None
+
+    def update(self, views: Views, sent: Velocity, dt: float) -> TensorEstimate:
+        """Return the tensor of the three views (see the contract)."""
+        self._method.predict(sent, dt)
+        self._measurement = None
+        if views.health is Health.LOST or len(views) < self.options.min_features:
+            few = f"{len(views)} features, {self.options.min_features} are needed"
+            return self._stale(Health.LOST, views.reason or few)
+        measured = self._method.measure(views)
+        if measured.health is not Health.OK:
+            return self._stale(measured.health, measured.reason)
+        self._measurement = measured
+        scale, scale_sd = self._scale(measured)
+        self._last = TensorEstimate(
+            health=Health.OK,
+            elements=normalised(measured.tensor),
+            covariance=normalised_covariance(measured.tensor, measured.covariance),
+            phi_1=self._phi_1(measured),
+            scale_m=scale,
+            scale_sd_m=scale_sd,
+        )
+        return self._last
+
+    def values(self) -> Mapping[str, float]:
+        """Return every element, what follows from them, and how well the features agree."""
+        if self._measurement is None:
+            return {}
+        last = self._last
+        xi, xi_sd = last.outputs, np.sqrt(np.diag(last.outputs_covariance))
+        numbers = {
+            "xi1": xi[0],
+            "xi2": xi[1],
+            "xi1_sd": xi_sd[0],
+            "xi2_sd": xi_sd[1],
+            "phi_1": last.phi_1,
+            "heading": last.heading,
+            "bearing": last.bearing,
+            "distance": last.distance_m,
+            "scale": last.scale_m,
+            "scale_sd": last.scale_sd_m,
+            "inliers": float(self._measurement.inliers),
+            "residual_sd": self._measurement.spread,
+        }
+        elements = zip(ELEMENTS, last.elements, strict=True)
+        return {name: float(value) for name, value in (*elements, *numbers.items())}
+
+    def _new_method(self) -> TensorMethod:
+        options, context = self.options, self.context
+        if options.method == "constrained":
+            return ConstrainedFit(options, context)
+        return LinearFit(options, context)
+
+    def _stale(self, health: Health, reason: str) -> TensorEstimate:
+        return replace(self._last, health=health, reason=reason)
+
+    def _phi_1(self, measured: Measurement) -> float:
+        if self.options.phi_1 == "given":
+            return math.radians(self.options.phi_1_deg)
+        return measured.phi_1 if self.options.phi_1 == "estimated" else 0.0
+
+    def _scale(self, measured: Measurement) -> tuple[float, float]:
+        """Return T121 in metres and its standard deviation."""
+        if self.options.scale == "given" or not math.isfinite(measured.scale_sd_m):
+            return self.options.scale_m, math.inf
+        return measured.scale_m, measured.scale_sd_m
+
+
+def _nothing(options: TensorOptions) -> TensorEstimate:
+    """Return the tensor of a robot that has not moved and sees the target straight ahead."""
+    return TensorEstimate(
+        health=Health.LOST,
+        elements=np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0]),
+        covariance=np.eye(8),
+        phi_1=0.0,
+        scale_m=options.scale_m,
+        scale_sd_m=math.inf,
+    )
