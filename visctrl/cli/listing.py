@@ -1,0 +1,71 @@
+"""``visctrl list`` and ``visctrl config``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from hal.central_camera import camera_names, load_camera
+from robots import load_robot, robot_names
+from visctrl.config import (
+    Override,
+    load_scenario,
+    scenario_names,
+    scenario_title,
+    to_yaml,
+)
+from visctrl.runtime.plan import make_plan
+from visctrl.runtime.registry import REGISTRIES
+from visctrl.runtime.schemes import SCHEMES, missing_plugins
+
+
+def show_everything() -> None:
+    """Print scenarios, robots, cameras, backends, schemes and plugins."""
+    console = Console()
+    registries = REGISTRIES
+    _show(console, "scenarios", ((name, scenario_title(name)) for name in scenario_names()))
+    _show(console, "robots", ((name, load_robot(name).title) for name in robot_names()))
+    _show(console, "cameras", ((name, _camera_line(name)) for name in camera_names()))
+    schemes = []
+    for name, scheme in SCHEMES.items():
+        missing = missing_plugins(scheme, registries)
+        note = f" (not available yet: needs {', '.join(missing)})" if missing else ""
+        schemes.append((name, scheme.title + note))
+    _show(console, "schemes", schemes)
+    for title, registry in (
+        ("backends", registries.backends),
+        ("perception", registries.perception),
+        ("estimators", registries.estimators),
+        ("controllers", registries.controllers),
+    ):
+        _show(console, title, ((name, registry.target(name)) for name in registry.names()))
+
+
+def show_scenario(name: str, overrides: Sequence[Override], *, resolve: bool) -> None:
+    """Print a scenario as YAML, checked; with ``resolve`` every default is filled in.
+
+    Raises
+    ------
+    InputError
+        It could not be run.
+    """
+    loaded = load_scenario(name, overrides, REGISTRIES.backends.known())
+    plan = make_plan(loaded)
+    data = plan.effective() if resolve else loaded.data
+    sys.stdout.write(to_yaml(data))
+
+
+def _camera_line(name: str) -> str:
+    camera = load_camera(name)
+    return f"{camera.width}x{camera.height}, xi {camera.xi:g}, looks {camera.optical_axis}"
+
+
+def _show(console: Console, title: str, rows: Iterable[tuple[str, str]]) -> None:
+    table = Table(show_header=False, box=None, pad_edge=False, padding=(0, 2, 0, 2))
+    for row in rows:
+        table.add_row(*row)
+    console.print(f"[bold]{title}[/bold]")
+    console.print(table)

@@ -1,0 +1,164 @@
+"""The command ``visctrl``: options and their help. The work is imported when it is asked for."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="visctrl",
+    help="Drive a wheeled robot to the pose from which a target image was taken.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def main() -> None:
+    """Run the command line; errors meant for the user become one message and an exit code."""
+    try:
+        app()
+    except Exception as error:
+        from robots.errors import VisctrlError
+
+        if not isinstance(error, VisctrlError):
+            raise
+        print(f"visctrl: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from visctrl import __version__
+
+        print(f"visctrl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Drive a wheeled robot to the pose from which a target image was taken."""
+
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(metavar="[SCENARIO]", help="Name of a scenario, or a YAML file.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Set a scenario key; may be repeated."),
+]
+BackendOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="sim, mock or pioneer.", show_default=False)
+]
+SchemeOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="trifocal, epipolar or pose.", show_default=False)
+]
+RobotOption = Annotated[str | None, typer.Option(metavar="NAME", help="p3dx or p3at.")]
+CameraOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="A camera's name, or a calibration file.")
+]
+StartOption = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(
+        metavar="X Y PHI_DEG",
+        help="Start in the target's frame: right, forward (m), heading (deg, counter-clockwise).",
+        show_default=False,
+    ),
+]
+DurationOption = Annotated[
+    float | None, typer.Option(metavar="S", help="Longest time of the main stage (s).")
+]
+SeedOption = Annotated[int | None, typer.Option(metavar="N", help="Seed of everything random.")]
+NoiseOption = Annotated[
+    float | None,
+    typer.Option("--noise-px", metavar="S", help="Noise of feature positions (px, mock only)."),
+]
+ToleranceOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        metavar="M DEG", help="What counts as reached: distance and heading.", show_default=False
+    ),
+]
+RealtimeOption = Annotated[
+    bool | None, typer.Option("--realtime/--lockstep", help="Simulate on the wall clock.")
+]
+
+
+@app.command("run")
+def run_command(
+    scenario: ScenarioArgument = "default",
+    backend: BackendOption = None,
+    scheme: SchemeOption = None,
+    robot: RobotOption = None,
+    camera: CameraOption = None,
+    start: StartOption = None,
+    duration: DurationOption = None,
+    seed: SeedOption = None,
+    noise_px: NoiseOption = None,
+    tolerance: ToleranceOption = None,
+    realtime: RealtimeOption = None,
+    settings: SetOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Run directory; runs/DATE-... if left out."),
+    ] = None,
+    video: Annotated[bool, typer.Option("--video", help="Write an MP4 as well.")] = False,
+    gui: Annotated[bool, typer.Option("--gui", help="Show PyBullet's window (sim).")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary on stdout, and only that.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+) -> None:
+    """Drive to the target view.
+
+    Exit code: 0 reached, 1 missed or lost, 2 bad input, 3 device or plugin fault, 130 Ctrl-C.
+    """
+    from visctrl.cli.overrides import flag_overrides
+    from visctrl.cli.run import run
+
+    overrides = flag_overrides(
+        settings=settings,
+        backend=backend,
+        scheme=scheme,
+        robot=robot,
+        camera=camera,
+        start=start,
+        duration=duration,
+        seed=seed,
+        noise_px=noise_px,
+        tolerance=tolerance,
+        realtime=realtime,
+        gui=gui,
+    )
+    raise typer.Exit(run(scenario, overrides, out, video=video, as_json=as_json, quiet=quiet))
+
+
+@app.command("list")
+def list_command() -> None:
+    """Show what there is: scenarios, robots, cameras, backends, schemes, plugins."""
+    from visctrl.cli.listing import show_everything
+
+    show_everything()
+
+
+@app.command("config")
+def config_command(
+    scenario: ScenarioArgument = "default",
+    resolve: Annotated[
+        bool, typer.Option("--resolve", help="Fill in every default, the plugins' included.")
+    ] = False,
+    settings: SetOption = None,
+) -> None:
+    """Check a scenario and print it as YAML."""
+    from visctrl.cli.listing import show_scenario
+    from visctrl.cli.overrides import flag_overrides
+
+    show_scenario(scenario, flag_overrides(settings=settings), resolve=resolve)

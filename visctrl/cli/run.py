@@ -1,0 +1,102 @@
+"""``visctrl run``: from options to an exit code."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from robots.errors import InputError
+from visctrl.cli.progress import Progress
+from visctrl.config import Override, load_scenario
+from visctrl.runtime.plan import Plan, make_plan
+from visctrl.runtime.registry import REGISTRIES
+from visctrl.runtime.session import Outcome, run_session
+
+RUNS = Path("runs")
+
+
+def run(
+    scenario: str,
+    overrides: Sequence[Override],
+    out: Path | None,
+    *,
+    video: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Run a scenario and report; return the exit code.
+
+    Raises
+    ------
+    InputError
+        Something cannot be used; nothing has been started.
+    """
+    backends = REGISTRIES.backends.known()
+    loaded = load_scenario(scenario, overrides, backends)
+    _check_flags(overrides, loaded.scenario.backend)
+    plan = make_plan(loaded)
+    directory = out if out is not None else _fresh_directory(plan)
+    console = Console(stderr=True)
+    with Progress(console, plan, enabled=not quiet) as progress:
+        outcome = run_session(plan, directory, video=video, observers=[progress])
+    for note in outcome.notes:
+        print(f"visctrl: {note}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(outcome.summary, indent=2, allow_nan=False))
+    elif not quiet:
+        _show(outcome)
+    if outcome.exit_code and (quiet or as_json):
+        print(f"visctrl: {outcome.summary['status']}: {outcome.summary['reason']}", file=sys.stderr)
+    return outcome.exit_code
+
+
+def _check_flags(overrides: Sequence[Override], backend: str) -> None:
+    """Refuse options that the chosen backend would ignore."""
+    for override in overrides:
+        option = override.origin.split()[0]
+        if option == "--noise-px" and backend != "mock":
+            raise InputError(
+                f"--noise-px: backend '{backend}' finds its features in images; there use "
+                "--set sim.image_noise=LEVELS"
+            )
+        if option == "--gui" and backend != "sim":
+            raise InputError(f"--gui: backend '{backend}' has no window")
+
+
+def _fresh_directory(plan: Plan) -> Path:
+    """Return a new name under ``runs/`` that says when and what."""
+    scenario = plan.scenario
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{scenario.backend}-{scenario.scheme}"
+    candidates = (RUNS / (stem if n == 1 else f"{stem}-{n}") for n in range(1, 1000))
+    return next(path for path in candidates if not path.exists())
+
+
+def _show(outcome: Outcome) -> None:
+    """Print the short table at the end of a run."""
+    summary = outcome.summary
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("status", f"[bold]{summary['status']}[/bold] ({summary['reason']})")
+    if (error := summary["final_error"]) is not None:
+        table.add_row(
+            "final error",
+            f"x {100 * error['x_m']:+.2f} cm, y {100 * error['y_m']:+.2f} cm, "
+            f"phi {error['phi_deg']:+.2f} deg",
+        )
+    table.add_row("path", f"{summary['path_length_m']:.2f} m in {summary['duration_s']:.1f} s")
+    compute = summary["compute_ms"]
+    if compute["median"] is not None:
+        table.add_row(
+            "ticks",
+            f"{summary['ticks']}, {summary['missed_ticks']} missed; compute median "
+            f"{compute['median']:.1f} ms, p99 {compute['p99']:.1f} ms",
+        )
+    if (factor := summary["real_time_factor"]) is not None:
+        table.add_row("speed", f"{factor:.1f} x real time")
+    table.add_row("files", str(outcome.directory))
+    Console().print(table)

@@ -1,0 +1,88 @@
+"""Camera frames as pictures, with the features that were used drawn on them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.central_camera import CentralCamera
+from hal.types import Frame
+from visctrl.plugins import Array
+
+Image = NDArray[np.uint8]
+
+#: Canvas of a frame that carries features only, and of what lies beside a picture (grey level).
+_BLANK = 32
+_MARK = (80, 220, 80)
+_TEXT = (255, 255, 255)
+_SHADOW = (0, 0, 0)
+#: Size of pictures that marks and letters are made for (px).
+_REFERENCE_WIDTH = 800
+
+
+def draw_frame(frame: Frame, camera: CentralCamera, pixels: Array, caption: str = "") -> Image:
+    """Return a frame as a colour picture with features marked.
+
+    Parameters
+    ----------
+    frame : Frame
+        With an image, or with features only: those are drawn on an empty canvas.
+    camera : CentralCamera
+        Its size is that of the canvas.
+    pixels : (N, 2) array
+        Features to mark.
+    caption : str
+        A line in the upper left corner.
+
+    Returns
+    -------
+    (height, width, 3) uint8 array
+        Blue, green, red.
+    """
+    if frame.image is None:
+        grey = np.full((camera.height, camera.width), _BLANK, dtype=np.uint8)
+    else:
+        grey = frame.image
+    picture: Image = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    scale = picture.shape[1] / _REFERENCE_WIDTH
+    radius = max(2, round(4 * scale))
+    thickness = max(1, round(scale))
+    for u, v in np.asarray(pixels)[np.isfinite(pixels).all(axis=1)]:
+        centre = (round(float(u)), round(float(v)))
+        cv2.circle(picture, centre, radius, _MARK, thickness, cv2.LINE_AA)
+    if caption:
+        _write(picture, caption, scale)
+    return picture
+
+
+def save_picture(path: Path, picture: Image) -> None:
+    """Write a picture as PNG.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    ok, data = cv2.imencode(".png", picture)
+    if not ok:
+        raise OSError(f"{path}: cannot be encoded as PNG")
+    path.write_bytes(data.tobytes())
+
+
+def _write(picture: Image, text: str, scale: float) -> None:
+    origin = (round(10 * scale), round(24 * scale))
+    size, width = 0.6 * scale, max(1, round(scale))
+    for colour, extra in ((_SHADOW, 2), (_TEXT, 0)):
+        cv2.putText(
+            picture,
+            text,
+            origin,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            size,
+            colour,
+            width + extra,
+            cv2.LINE_AA,
+        )

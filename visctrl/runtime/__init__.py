@@ -1,0 +1,1 @@
+"""What runs a session: registry, plan, scheduler, safety, recorder."""

@@ -1,0 +1,93 @@
+"""SIGINT and SIGTERM, let through at once except where something must not be cut in two."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+_EXIT_BASE = 128
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user or the system wants the run to end.
+
+    exit_code : 128 plus the number of the signal, as a shell reports it.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.signal = signal.Signals(number)
+        self.exit_code = _EXIT_BASE + number
+        what = "Ctrl-C" if self.signal is signal.SIGINT else self.signal.name
+        super().__init__(f"stopped by {what}")
+
+
+class Interrupts:
+    """Turns both signals into `Interrupted` while it is entered as a context.
+
+    ``with interrupts.shield:`` holds them back: a command to the base is finished first. After
+    the first one, or after `ignore`, further ones change nothing: the end is under way.
+    Outside the main thread, which alone gets signals, it does nothing.
+    """
+
+    def __init__(self) -> None:
+        self.shield = _Shield(self)
+        self._depth = 0
+        self._pending: int | None = None
+        self._over = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        self._previous.clear()
+
+    def ignore(self) -> None:
+        """Let nothing disturb the clean-up from here on."""
+        self._over = True
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        if self._over:
+            return
+        if self._depth == 0:
+            self._over = True
+            raise Interrupted(number)
+        self._pending = number
+
+    def _enter_shield(self) -> None:
+        self._depth += 1
+
+    def _leave_shield(self, failing: bool) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._pending is not None and not failing:
+            self._over = True
+            raise Interrupted(self._pending)
+
+
+class _Shield:
+    def __init__(self, owner: Interrupts) -> None:
+        self._owner = owner
+
+    def __enter__(self) -> None:
+        self._owner._enter_shield()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._owner._leave_shield(failing=kind is not None)

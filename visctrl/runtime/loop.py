@@ -1,0 +1,338 @@
+"""The tick: frame, perception, estimation, control, safety, command."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hal.errors import BaseFaultError
+from hal.interfaces import Backend
+from hal.types import STANDSTILL, Frame, Odometry, Velocity
+from robots.errors import InputError, VisctrlError
+from visctrl.plugins import (
+    Controller,
+    Decision,
+    Estimate,
+    Estimator,
+    Health,
+    Perception,
+    Plugin,
+    Views,
+)
+from visctrl.runtime.interrupts import Interrupts
+from visctrl.runtime.records import STAGES, Observer, TickRecord
+from visctrl.runtime.safety import Guard, UnsafeCommandError
+from visctrl.runtime.scheduler import Tick, Ticker
+
+T = TypeVar("T")
+
+
+class PluginError(VisctrlError):
+    """A plugin raised an exception in a tick.
+
+    details : its traceback, for the file in the run directory.
+    """
+
+    exit_code = 3
+
+    def __init__(self, who: str, error: Exception) -> None:
+        super().__init__(f"{who} failed: {type(error).__name__}: {error}")
+        self.details = "".join(traceback.format_exception(error))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of a run with its own estimator and controller.
+
+    duration : longest time it may take (s).
+    """
+
+    name: str
+    estimator: Estimator[Any, Any]
+    controller: Controller[Any, Any]
+    estimator_name: str
+    controller_name: str
+    duration: float
+
+
+@dataclass
+class Tally:
+    """What is counted over all stages of a run.
+
+    blame : missed deadlines by the part of the tick that took the time.
+    """
+
+    ticks: int = 0
+    missed: int = 0
+    blame: Counter[str] = field(default_factory=Counter)
+
+
+class Loop:
+    """Runs stages on an open backend.
+
+    Parameters
+    ----------
+    backend : Backend
+        Open.
+    perception : Perception
+        Target and initial views set.
+    perception_name : str
+        For messages.
+    guard : Guard
+        Judges frames, estimates and commands.
+    period : float
+        Nominal tick (s).
+    interrupts : Interrupts
+        Shielded while a command is on its way.
+    observers : sequence of Observer
+        Told about every tick.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        perception: Perception[Any],
+        perception_name: str,
+        guard: Guard,
+        period: float,
+        interrupts: Interrupts,
+        observers: Sequence[Observer],
+    ) -> None:
+        self._backend = backend
+        self._perception = perception
+        self._perception_name = perception_name
+        self._guard = guard
+        self._period = period
+        self._interrupts = interrupts
+        self._observers = observers
+        # Where time stands still during a tick, the parts are timed by the processor's clock.
+        clock = backend.clock
+        self._timer: Callable[[], float] = time.perf_counter if clock.lockstep else clock.now
+        self._origin = clock.now()
+        self.tally = Tally()
+        #: Whether the robot has been told to move; may be reset between stages.
+        self.moved = False
+
+    def run(self, stage: Stage) -> bool:
+        """Tick until the controller has finished or the time is over; return which it was.
+
+        The robot must stand still; afterwards it has been told to.
+
+        Raises
+        ------
+        DeviceError, PluginError, LostError, UnsafeCommandError
+            The run cannot go on.
+        """
+        ticker = Ticker(self._backend.clock, self._period)
+        self._guard.begin(ticker.origin)
+        turn = _Turn(stage)
+        for observer in self._observers:
+            observer.on_stage(stage.name)
+        while True:
+            tick = ticker.wait()
+            if tick.start - ticker.origin > stage.duration:
+                self.stop()
+                return False
+            self._tick(turn, tick)
+            if turn.decision.finished:
+                self.stop()
+                return True
+
+    def stop(self) -> None:
+        """Bring the base to a standstill."""
+        with self._interrupts.shield:
+            self._backend.base.stop()
+        self._guard.was_sent(STANDSTILL, self._backend.clock.now())
+
+    def _tick(self, turn: _Turn, tick: Tick) -> None:
+        """Do one tick of a stage."""
+        blame = self._count(tick, turn)
+        turn.begin(self._timer())
+        truth = self._backend.truth()
+        odometry, battery_v = self._check_base()
+        frame = self._backend.camera.read()
+        turn.part(self._timer())
+        views = self._views(frame)
+        turn.part(self._timer())
+        self._withdraw_old_command(turn)
+        estimate = self._estimate(views, turn, tick)
+        turn.part(self._timer())
+        self._withdraw_old_command(turn)
+        self._decide(estimate, turn, tick)
+        turn.part(self._timer())
+        self._command(frame, turn)
+        turn.part(self._timer())
+        record = TickRecord(
+            number=self.tally.ticks,
+            t=tick.start - self._origin,
+            stage=turn.stage.name,
+            tick=tick,
+            frame=frame,
+            views=views,
+            estimate=estimate,
+            decision=turn.decision,
+            sent=turn.sent,
+            odometry=odometry,
+            truth=truth,
+            battery_v=battery_v,
+            event=turn.event,
+            blame=blame,
+            signals=self._signals(turn),
+            seconds=tuple(turn.seconds),
+        )
+        for observer in self._observers:
+            observer.on_tick(record)
+        turn.part(self._timer())
+        self.tally.ticks += 1
+
+    def _count(self, tick: Tick, turn: _Turn) -> str:
+        """Count missed deadlines; return what made the robot miss them."""
+        if tick.missed == 0:
+            return ""
+        blame = turn.slowest() if tick.skipped else "system"
+        self.tally.missed += tick.missed
+        self.tally.blame[blame] += tick.missed
+        return blame
+
+    def _check_base(self) -> tuple[Odometry, float | None]:
+        status = self._backend.base.status()
+        if status.faults:
+            raise BaseFaultError("; ".join(status.faults))
+        return self._backend.base.odometry(), status.battery_v
+
+    def _views(self, frame: Frame) -> Views:
+        """Return what perception sees, or nothing where the frame is too old to be the present."""
+        problem = self._guard.frame_problem(frame, self._backend.clock.now())
+        if problem:
+            return _nothing_seen(frame, problem)
+        return self._call(
+            f"perception '{self._perception_name}'", lambda: self._perception.update(frame)
+        )
+
+    def _estimate(self, views: Views, turn: _Turn, tick: Tick) -> Estimate:
+        stage = turn.stage
+        estimate = self._call(
+            f"estimator '{stage.estimator_name}'",
+            lambda: stage.estimator.update(views, turn.sent, tick.dt),
+        )
+        if not isinstance(estimate, stage.controller.accepts):
+            raise InputError(
+                f"estimator '{stage.estimator_name}' gives {type(estimate).__name__}, controller "
+                f"'{stage.controller_name}' needs {stage.controller.accepts.__name__}"
+            )
+        return estimate
+
+    def _decide(self, estimate: Estimate, turn: _Turn, tick: Tick) -> None:
+        """Ask the controller, whose time stands still while the robot is held."""
+        now = self._backend.clock.now()
+        if turn.steered and not turn.held:
+            turn.control_time += tick.dt
+        turn.held = self._guard.must_hold(estimate.health, estimate.reason, now)
+        turn.steered = True
+        stage = turn.stage
+        if turn.held:
+            turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
+            turn.decision = Decision(STANDSTILL, turn.decision.phase)
+            return
+        turn.decision = self._call(
+            f"controller '{stage.controller_name}'",
+            lambda: stage.controller.update(estimate, turn.control_time),
+        )
+
+    def _command(self, frame: Frame, turn: _Turn) -> None:
+        now = self._backend.clock.now()
+        wanted = turn.decision.velocity
+        if self._guard.too_old(frame, now) and not turn.held:
+            turn.held = True
+            turn.event = turn.event or "held: the frame grew old while it was worked on"
+        if turn.held or turn.decision.finished:
+            permitted = STANDSTILL
+        else:
+            try:
+                permitted = self._guard.permit(wanted, now)
+            except UnsafeCommandError as error:
+                name = turn.stage.controller_name
+                raise UnsafeCommandError(f"controller '{name}': {error}") from None
+        with self._interrupts.shield:
+            turn.sent = self._backend.base.command(permitted)
+        self.moved = self.moved or turn.sent != STANDSTILL
+        self._guard.was_sent(turn.sent, now)
+
+    def _withdraw_old_command(self, turn: _Turn) -> None:
+        """Stop a robot whose last command has grown old while a plugin was at work."""
+        if self._guard.expired(self._backend.clock.now()):
+            self.stop()
+            turn.sent = STANDSTILL
+            turn.event = "stopped: the command in force was too old"
+
+    def _signals(self, turn: _Turn) -> tuple[tuple[str, Mapping[str, float]], ...]:
+        plugins: tuple[tuple[str, Plugin[Any]], ...] = (
+            (self._perception_name, self._perception),
+            (turn.stage.estimator_name, turn.stage.estimator),
+            (turn.stage.controller_name, turn.stage.controller),
+        )
+        return tuple((name, dict(plugin.values())) for name, plugin in plugins if plugin.signals)
+
+    def _call(self, who: str, work: Callable[[], T]) -> T:
+        try:
+            return work()
+        except Exception as error:
+            raise PluginError(who, error) from error
+
+
+class _Turn:
+    """What one stage remembers from tick to tick.
+
+    sent : velocity that the base was last told.
+    held : the robot is kept at a standstill for want of features.
+    control_time : the controller's time (s): that of the stage without the time held.
+    event : what safety did in this tick.
+    seconds : duration of the tick's parts so far.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        self.sent: Velocity = STANDSTILL
+        self.decision = Decision()
+        self.held = False
+        self.steered = False
+        self.control_time = 0.0
+        self.event = ""
+        self.seconds: list[float] = []
+        self._mark = 0.0
+
+    def begin(self, now: float) -> None:
+        """Start a tick."""
+        self.event = ""
+        self.seconds = []
+        self._mark = now
+
+    def part(self, now: float) -> None:
+        """End a part of the tick."""
+        self.seconds.append(now - self._mark)
+        self._mark = now
+
+    def slowest(self) -> str:
+        """Return the part of the tick that took longest."""
+        return STAGES[max(range(len(self.seconds)), key=self.seconds.__getitem__)]
+
+
+def _nothing_seen(frame: Frame, reason: str) -> Views:
+    nothing = np.empty((0, 3))
+    return Views(
+        ids=np.empty(0, dtype=np.int64),
+        target=nothing,
+        initial=nothing,
+        current=nothing,
+        pixels=np.empty((0, 2)),
+        sigma=0.0,
+        stamp=frame.stamp,
+        health=Health.LOST,
+        reason=reason,
+    )

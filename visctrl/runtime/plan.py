@@ -1,0 +1,287 @@
+"""A scenario made definite: every name looked up, every option checked, nothing started."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from hal.central_camera import CentralCamera, load_camera
+from hal.interfaces import Backend
+from robots import Limits, Robot, load_robot
+from robots.documents import Document, load, validate
+from robots.errors import InputError
+from robots.model import Mount
+from visctrl.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
+from visctrl.plugins import Context, Controller, Estimator, Perception
+from visctrl.runtime.registry import (
+    REGISTRIES,
+    Registries,
+    Registry,
+    estimate_type,
+    options_type,
+)
+from visctrl.runtime.safety import effective_limits
+from visctrl.runtime.schemes import (
+    APPROACH_CONTROLLER,
+    APPROACH_ESTIMATOR,
+    IDENTIFIED_FEATURES,
+    scheme_named,
+)
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Chosen(Generic[T]):
+    """A plugin class with its checked options, ready to be built."""
+
+    kind: str
+    name: str
+    cls: type[T]
+    options: Document
+
+    def build(self, context: Context) -> T:
+        """Return a fresh instance."""
+        make: Callable[[Document, Context], T] = self.cls
+        return make(self.options, context)
+
+    def effective(self) -> dict[str, Any]:
+        """Return name and options, defaults included, as a scenario holds them."""
+        return {"name": self.name, **self.options.model_dump(mode="json")}
+
+
+@dataclass(frozen=True)
+class StagePlan:
+    """Estimator and controller of one stage of a run."""
+
+    estimator: Chosen[Estimator[Any, Any]]
+    controller: Chosen[Controller[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run is made of.
+
+    camera : the calibration; true_camera : what simulated frames are made with.
+    limits : bounds of speed and acceleration, None for an ideal robot.
+    approach : the turn towards the target; None where the run goes without.
+    """
+
+    scenario: Scenario
+    backend: type[Backend]
+    backend_options: Document
+    robot: Robot
+    mount: Mount
+    camera: CentralCamera
+    true_camera: CentralCamera
+    limits: Limits | None
+    perception: Chosen[Perception[Any]]
+    approach: StagePlan | None
+    main: StagePlan
+
+    @property
+    def period_s(self) -> float:
+        """Nominal tick (s)."""
+        return 1.0 / self.scenario.rate_hz
+
+    def open_backend(self) -> Backend:
+        """Return the backend, not opened yet."""
+        make: Callable[..., Backend] = self.backend
+        return make(
+            robot=self.robot,
+            camera=self.camera,
+            true_camera=self.true_camera,
+            mount=self.mount,
+            start=self.scenario.start.pose(),
+            limits=self.limits,
+            options=self.backend_options,
+            seed=self.scenario.seed,
+            realtime=self.scenario.realtime,
+        )
+
+    def context(self, lockstep: bool) -> Context:
+        """Return what the plugins are told."""
+        return Context(
+            camera=self.camera,
+            limits=self.limits,
+            camera_forward_m=self.mount.forward_m,
+            period_s=self.period_s,
+            seed=self.scenario.seed,
+            lockstep=lockstep,
+        )
+
+    def effective(self) -> dict[str, Any]:
+        """Return the whole configuration, every default filled in; it can be run again."""
+        data = self.scenario.model_dump(mode="json", exclude={"backends"})
+        data["camera"]["width"] = self.camera.width
+        data["camera"]["height"] = self.camera.height
+        data["perception"] = self.perception.effective()
+        data["estimator"] = self.main.estimator.effective()
+        data["controller"] = self.main.controller.effective()
+        if self.approach is not None:
+            data["approach"]["estimator"] = self.approach.estimator.effective()
+            data["approach"]["controller"] = self.approach.controller.effective()
+        data[self.scenario.backend] = self.backend_options.model_dump(mode="json")
+        return data
+
+
+def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Plan:
+    """Look up every name of a scenario and check every option.
+
+    Raises
+    ------
+    InputError
+        Anything that cannot be run; the message names the file or option and the key.
+    """
+    scenario = loaded.scenario
+    backend_options = _all_backend_options(loaded, registries)
+    backend = _at(loaded, ("backend",), lambda: registries.backends.load(scenario.backend))
+    robot = _at(loaded, ("robot",), lambda: load_robot(scenario.robot))
+    mount = _at(loaded, ("camera", "mount"), lambda: robot.mount(scenario.camera.mount))
+    camera = _at(loaded, ("camera",), lambda: _camera(scenario.camera))
+    true_camera = _at(loaded, ("camera_error",), lambda: _true(camera, scenario.camera_error))
+    limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
+    ideal = getattr(backend_options, "ideal", False)
+    perception, approach, main = _plugins(loaded, registries)
+    return Plan(
+        scenario=scenario,
+        backend=backend,
+        backend_options=backend_options,
+        robot=robot,
+        mount=mount,
+        camera=camera,
+        true_camera=true_camera,
+        limits=None if ideal else limits,
+        perception=perception,
+        approach=approach,
+        main=main,
+    )
+
+
+def _plugins(
+    loaded: LoadedScenario, registries: Registries
+) -> tuple[Chosen[Perception[Any]], StagePlan | None, StagePlan]:
+    scenario = loaded.scenario
+    scheme = _at(loaded, ("scheme",), lambda: scheme_named(scenario.scheme))
+    sees_features = scenario.backend in IDENTIFIED_FEATURES
+    default = scheme.identified if sees_features else scheme.perception
+    perception = _choose(
+        loaded, registries.perception, scenario.perception, default, ("perception",)
+    )
+    main = _stage(
+        loaded,
+        registries,
+        scenario.estimator,
+        scenario.controller,
+        (scheme.estimator, scheme.controller),
+        (),
+    )
+    approach = None
+    if scheme.approach and scenario.approach.enabled:
+        approach = _stage(
+            loaded,
+            registries,
+            scenario.approach.estimator,
+            scenario.approach.controller,
+            (APPROACH_ESTIMATOR, APPROACH_CONTROLLER),
+            ("approach",),
+        )
+    return perception, approach, main
+
+
+def _stage(
+    loaded: LoadedScenario,
+    registries: Registries,
+    estimator_choice: PluginChoice,
+    controller_choice: PluginChoice,
+    defaults: tuple[str, str],
+    path: tuple[str, ...],
+) -> StagePlan:
+    """Choose a stage's plugins and check that they fit each other."""
+    estimator = _choose(
+        loaded, registries.estimators, estimator_choice, defaults[0], (*path, "estimator")
+    )
+    controller = _choose(
+        loaded, registries.controllers, controller_choice, defaults[1], (*path, "controller")
+    )
+    given = estimate_type(estimator.cls)
+    accepted = controller.cls.accepts
+    if given is not None and not issubclass(given, accepted):
+        raise InputError(
+            f"{loaded.origin_of(*path)}: controller '{controller.name}' needs "
+            f"{accepted.__name__}, estimator '{estimator.name}' gives {given.__name__}: choose "
+            "plugins of one scheme"
+        )
+    return StagePlan(estimator, controller)
+
+
+def _choose(
+    loaded: LoadedScenario,
+    registry: Registry[T],
+    choice: PluginChoice,
+    default: str,
+    path: tuple[str, ...],
+) -> Chosen[T]:
+    name = choice.name
+    if name is not None:
+        cls = _at(loaded, (*path, "name"), lambda: registry.load(name))
+    elif default in registry.names():
+        cls = registry.load(default)
+    else:
+        raise InputError(
+            f"scheme '{loaded.scenario.scheme}' is not available yet: it needs {registry.kind} "
+            f"'{default}'"
+        )
+    origin = f"{loaded.origin_of(*path)}: {'.'.join(path)}"
+    options = validate(choice.options, options_type(cls, registry.kind), origin)
+    return Chosen(registry.kind, name or default, cls, options)
+
+
+def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> Document:
+    """Check the sections of every backend, and return the options of the chosen one."""
+    scenario = loaded.scenario
+    checked = {}
+    for name, section in scenario.backends.items():
+        options = registries.backend_options(name)
+        checked[name] = validate(section, options, f"{loaded.origin_of(name)}: {name}")
+    if scenario.backend in checked:
+        return checked[scenario.backend]
+    options = _at(loaded, ("backend",), lambda: registries.backend_options(scenario.backend))
+    return options()
+
+
+def _camera(choice: CameraChoice) -> CentralCamera:
+    if choice.name.endswith((".yaml", ".yml")):
+        camera = load(Path(choice.name), CentralCamera)
+    else:
+        camera = load_camera(choice.name)
+    if choice.width is None and choice.height is None:
+        return camera
+    width = choice.width or round(camera.width * (choice.height or 0) / camera.height)
+    height = choice.height or round(camera.height * width / camera.width)
+    return camera.resized(width, height)
+
+
+def _true(camera: CentralCamera, error: CameraError) -> CentralCamera:
+    if error == CameraError():
+        return camera
+    changes = {
+        "fx": camera.fx * error.focal_scale,
+        "fy": camera.fy * error.focal_scale,
+        "cx": camera.cx + error.cx_px,
+        "cy": camera.cy + error.cy_px,
+        "xi": camera.xi + error.xi,
+        "pitch_deg": camera.pitch_deg + error.tilt_deg,
+    }
+    return validate({**camera.model_dump(), **changes}, CentralCamera, "the true camera")
+
+
+def _at(loaded: LoadedScenario, path: tuple[str, ...], look_up: Callable[[], T]) -> T:
+    """Call ``look_up``; its error is told with the file or option and the key."""
+    try:
+        return look_up()
+    except InputError as error:
+        key = ".".join(path)
+        raise InputError(f"{loaded.origin_of(*path)}: key '{key}': {error}") from error

@@ -1,0 +1,206 @@
+"""The run directory: what a run leaves behind, written while it goes on.
+
+A thread does the writing, so that a slow disk never delays a tick; what is written is flushed
+as soon as there is nothing more to write, so that a crash leaves a readable log.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from hal.types import Pose
+from robots.errors import InputError
+from robots.unicycle import to_rep103
+from visctrl.plugins import Plugin
+from visctrl.runtime.records import STAGES, Observer, TickRecord
+
+TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
+TARGET, INITIAL, FINAL, PLOTS = "target.png", "initial.png", "final.png", "plots.png"
+VIDEO, FAULT = "video.mp4", "fault.txt"
+FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, PLOTS, VIDEO, FAULT)
+
+_MS = 1000.0
+#: Ticks that may wait to be written before a lock-stepped run waits for the disk and one on
+#: the wall clock gives ticks up.
+_BACKLOG = 10_000
+
+_CORE = (
+    *("tick", "t [s]", "stage", "phase", "dt [s]", "frame", "stamp [s]"),
+    *("features", "perception", "estimate", "event"),
+    *("x_true [m]", "y_true [m]", "phi_true [rad]"),
+    *("x_odometry [m]", "y_odometry [m]", "phi_odometry [rad]"),
+    *("v_odometry [m/s]", "omega_odometry [rad/s]"),
+    *("v_wanted [m/s]", "omega_wanted [rad/s]", "v_sent [m/s]", "omega_sent [rad/s]"),
+    "battery [V]",
+)
+#: Columns that differ between two runs of one seed, after all others.
+TIMING = ("lateness [ms]", "missed", "blame", *(f"{name} [ms]" for name in STAGES[:-1]))
+
+
+class RunDirectory:
+    """A directory for the files of one run; those of an earlier run in it are replaced.
+
+    Parameters
+    ----------
+    path : Path
+        Created if it does not exist.
+
+    Raises
+    ------
+    InputError
+        It cannot be created or written to.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._is_new = not path.exists()
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            for name in FILES:
+                (path / name).unlink(missing_ok=True)
+            (path / CONFIG).touch()
+        except OSError as error:
+            raise InputError(f"--out {path}: cannot be written to: {error.strerror}") from None
+
+    def discard(self) -> None:
+        """Leave nothing behind: the run has not begun."""
+        (self.path / CONFIG).unlink(missing_ok=True)
+        if self._is_new:
+            self.path.rmdir()
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a small file."""
+        (self.path / name).write_text(text, encoding="utf-8")
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write ``summary.json``."""
+        self.write_text(SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+
+
+class Recorder(Observer):
+    """Writes ``ticks.csv`` and ``trajectory.tum``.
+
+    The trajectory is the true pose where it is known, else the odometry, in REP-103 axes.
+
+    Parameters
+    ----------
+    directory : Path
+        Where to write.
+    plugins : sequence of (name, Plugin)
+        Whose signals become columns.
+    lockstep : bool
+        Time stands still during a tick, so that a tick may wait for the disk.
+    """
+
+    def __init__(
+        self, directory: Path, plugins: Sequence[tuple[str, Plugin[Any]]], *, lockstep: bool
+    ) -> None:
+        self._signals = _signal_columns(plugins)
+        self._lockstep = lockstep
+        self._queue: SimpleQueue[TickRecord | None] = SimpleQueue()
+        self._ticks = (directory / TICKS).open("w", encoding="utf-8", newline="")
+        self._trajectory = (directory / TRAJECTORY).open("w", encoding="utf-8")
+        self._rows = csv.writer(self._ticks, lineterminator="\n")
+        self._rows.writerow((*_CORE, *self._signals.values(), *TIMING))
+        self.problem = ""
+        self._given_up = 0
+        self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
+        self._thread.start()
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Queue a tick for writing."""
+        if self._queue.qsize() > _BACKLOG and self._thread.is_alive():
+            if not self._lockstep:
+                self._given_up += 1
+                return
+            while self._queue.qsize() > _BACKLOG // 2 and self._thread.is_alive():
+                time.sleep(0.001)
+        if not self.problem:
+            self._queue.put(record)
+
+    def close(self) -> None:
+        """Write what is left and close the files."""
+        self._queue.put(None)
+        self._thread.join()
+        self._ticks.close()
+        self._trajectory.close()
+        if self._given_up and not self.problem:
+            self.problem = f"{self._given_up} ticks were not recorded: the disk was too slow"
+
+    def _write_all(self) -> None:
+        try:
+            while (record := self._next()) is not None:
+                self._write(record)
+            self._flush()
+        except OSError as error:
+            self.problem = f"recording ended early: {error.strerror or error}"
+
+    def _next(self) -> TickRecord | None:
+        try:
+            return self._queue.get_nowait()
+        except Empty:
+            self._flush()
+            return self._queue.get()
+
+    def _flush(self) -> None:
+        self._ticks.flush()
+        self._trajectory.flush()
+
+    def _write(self, record: TickRecord) -> None:
+        signals = {
+            (name, key): value for name, values in record.signals for key, value in values.items()
+        }
+        timing = (
+            _MS * record.tick.lateness,
+            record.tick.missed,
+            record.blame,
+            *(_MS * seconds for seconds in record.seconds),
+        )
+        self._rows.writerow((*_core(record), *map(signals.get, self._signals), *timing))
+        self._trajectory.write(_tum(record.t, record.truth or record.odometry.pose))
+
+
+def _signal_columns(plugins: Sequence[tuple[str, Plugin[Any]]]) -> dict[tuple[str, str], str]:
+    """Return the header of each signal by plugin and signal name."""
+    return {
+        (name, signal.name): f"{name}.{signal.name} [{signal.unit}]"
+        for name, plugin in plugins
+        for signal in plugin.signals
+    }
+
+
+def _core(record: TickRecord) -> tuple[object, ...]:
+    odometry, wanted = record.odometry, record.decision.velocity
+    return (
+        record.number,
+        record.t,
+        record.stage,
+        record.decision.phase,
+        record.tick.dt,
+        record.frame.sequence,
+        record.frame.stamp,
+        len(record.views),
+        record.views.health,
+        record.estimate.health,
+        record.event,
+        *(record.truth or (None, None, None)),
+        *odometry.pose,
+        *odometry.velocity,
+        *wanted,
+        *record.sent,
+        record.battery_v,
+    )
+
+
+def _tum(t: float, pose: Pose) -> str:
+    """Return one line of a TUM trajectory: time, position, quaternion."""
+    x, y, yaw = (float(value) for value in to_rep103(pose))
+    return f"{t:.6f} {x:.9f} {y:.9f} 0 0 0 {math.sin(yaw / 2):.12f} {math.cos(yaw / 2):.12f}\n"

@@ -1,0 +1,69 @@
+"""What is known of one tick after it: for the recorder, the report and whoever watches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hal.types import Frame, Odometry, Pose, Velocity
+from visctrl.plugins import Decision, Estimate, Match, Views
+from visctrl.runtime.scheduler import Tick
+
+#: The parts of a tick, in order. ``record`` is the cost of handing the tick to its watchers.
+STAGES = ("frame", "perception", "estimation", "control", "command", "record")
+#: The parts that plugins do.
+COMPUTE = ("perception", "estimation", "control")
+
+
+@dataclass(frozen=True, slots=True)
+class TickRecord:
+    """One tick.
+
+    number : ticks since the run began, approach included.
+    t : time since the run's first tick (s).
+    stage : ``approach`` or ``main``.
+    truth : true pose of the camera in the target's frame, None where unknown.
+    event : what safety did, empty if nothing.
+    blame : part of the previous tick that made this one miss deadlines, empty if none.
+    signals : every plugin's own numbers, by plugin role.
+    seconds : duration of the parts in `STAGES`; the last is not known yet and left out.
+    """
+
+    number: int
+    t: float
+    stage: str
+    tick: Tick
+    frame: Frame
+    views: Views
+    estimate: Estimate
+    decision: Decision
+    sent: Velocity
+    odometry: Odometry
+    truth: Pose | None
+    battery_v: float | None
+    event: str
+    blame: str
+    signals: tuple[tuple[str, Mapping[str, float]], ...]
+    seconds: tuple[float, ...]
+
+
+class Observer:
+    """Watches a run. Every method is called between ticks and must not block.
+
+    The default is to ignore everything.
+    """
+
+    def on_message(self, text: str) -> None:
+        """Hear that something begins which takes a while."""
+
+    def on_target(self, frame: Frame) -> None:
+        """Get the target view."""
+
+    def on_initial(self, frame: Frame, match: Match) -> None:
+        """Get an initial view once it is matched."""
+
+    def on_stage(self, stage: str) -> None:
+        """Hear that a stage begins."""
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Get a tick whose command is sent."""

@@ -1,0 +1,196 @@
+"""Names to classes, imported when they are used and not before.
+
+A name comes from the tables below or from an entry point of an installed package, in the group
+``visctrl.perception``, ``visctrl.estimators``, ``visctrl.controllers`` or ``visctrl.backends``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import typing
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, TypeVar, cast
+
+from hal.interfaces import Backend
+from robots.documents import Document, suggestion
+from robots.errors import InputError
+from visctrl.plugins import Controller, Estimate, Estimator, Perception
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """The classes of one kind, by name.
+
+    Parameters
+    ----------
+    kind : str
+        What an error message calls them.
+    group : str
+        Entry point group that extends the table.
+    contract : type
+        Abstract class that each must derive from.
+    builtin : dict
+        Name to ``module:Class``.
+    """
+
+    def __init__(self, kind: str, group: str, contract: type[Any], builtin: dict[str, str]) -> None:
+        self.kind = kind
+        self.group = group
+        self.contract = contract
+        self.builtin = builtin
+
+    def names(self) -> list[str]:
+        """Return the names that can be used here, sorted."""
+        present = {name for name, target in self.builtin.items() if _module_exists(target)}
+        return sorted(present | self._extensions.keys())
+
+    def known(self) -> list[str]:
+        """Return every name, those included that are planned and not there yet."""
+        return sorted(self.builtin.keys() | self._extensions.keys())
+
+    def target(self, name: str) -> str:
+        """Return ``module:Class`` of a name.
+
+        Raises
+        ------
+        InputError
+            Unknown, or planned and not there yet; the message lists the known names.
+        """
+        if name in self.builtin and _module_exists(self.builtin[name]):
+            return self.builtin[name]
+        if name in self._extensions:
+            return self._extensions[name].value
+        known = suggestion(name, self.names())
+        if name in self.builtin:
+            raise InputError(f"{self.kind} '{name}' is not available yet; {known}")
+        raise InputError(f"unknown {self.kind} '{name}'; {known}")
+
+    def load(self, name: str) -> type[T]:
+        """Import a class by name and check that it keeps its contract.
+
+        Raises
+        ------
+        InputError
+            Unknown name, a module that cannot be imported, or a class that is not what its
+            kind asks for.
+        """
+        target = self.target(name)
+        module_name, _, attribute = target.partition(":")
+        try:
+            found: object = importlib.import_module(module_name)
+            for part in attribute.split("."):
+                found = getattr(found, part)
+        except (ImportError, AttributeError) as error:
+            raise InputError(
+                f"{self.kind} '{name}' ({target}) cannot be loaded: {error}"
+            ) from error
+        return self._checked(found, name, target)
+
+    @cached_property
+    def _extensions(self) -> dict[str, EntryPoint]:
+        return {point.name: point for point in entry_points(group=self.group)}
+
+    def _checked(self, found: object, name: str, target: str) -> type[T]:
+        where = f"{self.kind} '{name}' ({target})"
+        if not (isinstance(found, type) and issubclass(found, self.contract)):
+            raise InputError(f"{where} is not a subclass of {self.contract.__qualname__}")
+        if inspect.isabstract(found):
+            missing = ", ".join(sorted(getattr(found, "__abstractmethods__", ())))
+            raise InputError(f"{where} does not implement {missing}")
+        options_type(found, where)
+        return cast(type[T], found)
+
+
+def options_type(owner: type, where: str) -> type[Document]:
+    """Return the ``Options`` of a plugin or backend class; ``where`` opens the error message."""
+    options = getattr(owner, "Options", None)
+    if not (isinstance(options, type) and issubclass(options, Document)):
+        raise InputError(f"{where} has no 'Options' derived from robots.documents.Document")
+    return options
+
+
+def estimate_type(estimator: type[Estimator[Any, Any]]) -> type[Estimate] | None:
+    """Return what an estimator's ``update`` is declared to return, None where it is not said."""
+    try:
+        declared = typing.get_type_hints(estimator.update).get("return")
+    except NameError:
+        return None
+    return declared if isinstance(declared, type) and issubclass(declared, Estimate) else None
+
+
+@dataclass(frozen=True)
+class Registries:
+    """All four registries."""
+
+    perception: Registry[Perception[Any]] = field(
+        default_factory=lambda: Registry(
+            "perception",
+            "visctrl.perception",
+            Perception,
+            {
+                "klt": "visctrl.perception.klt:Klt",
+                "features": "visctrl.perception.features:IdentifiedFeatures",
+            },
+        )
+    )
+    estimators: Registry[Estimator[Any, Any]] = field(
+        default_factory=lambda: Registry(
+            "estimator",
+            "visctrl.estimators",
+            Estimator,
+            {
+                "tensor": "visctrl.estimation.tensor:Tensor",
+                "planar-motion": "visctrl.estimation.planar_motion:PlanarMotionEstimator",
+            },
+        )
+    )
+    controllers: Registry[Controller[Any, Any]] = field(
+        default_factory=lambda: Registry(
+            "controller",
+            "visctrl.controllers",
+            Controller,
+            {
+                "trifocal-smc": "visctrl.control.trifocal_smc:TrifocalSmc",
+                "face-target": "visctrl.control.face_target:FaceTarget",
+            },
+        )
+    )
+    backends: Registry[Backend] = field(
+        default_factory=lambda: Registry(
+            "backend",
+            "visctrl.backends",
+            Backend,
+            {
+                "sim": "sim.backend:SimBackend",
+                "mock": "hal.mock:MockBackend",
+                "pioneer": "hal.pioneer.backend:PioneerBackend",
+            },
+        )
+    )
+
+    def backend_options(self, name: str) -> type[Document]:
+        """Return the options of a backend, without importing what only a run needs."""
+        target = _BACKEND_OPTIONS.get(name)
+        if target is None or not _module_exists(target):
+            return options_type(self.backends.load(name), f"backend '{name}'")
+        module_name, _, attribute = target.partition(":")
+        found: type[Document] = getattr(importlib.import_module(module_name), attribute)
+        return found
+
+
+#: Where a backend's options live apart from the backend, which may import a physics engine.
+_BACKEND_OPTIONS = {"sim": "sim.options:SimOptions", "mock": "hal.mock:MockOptions"}
+
+REGISTRIES = Registries()
+
+
+def _module_exists(target: str) -> bool:
+    try:
+        return importlib.util.find_spec(target.partition(":")[0]) is not None
+    except ModuleNotFoundError:
+        return False

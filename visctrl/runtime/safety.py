@@ -1,0 +1,182 @@
+"""What stands between a controller and the base, whatever the plugins do."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from hal.errors import StaleFrameError
+from hal.types import STANDSTILL, Frame, Velocity
+from robots import Limits, Robot
+from robots.documents import Document
+from robots.errors import InputError, VisctrlError
+from visctrl.plugins import Health
+
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class SafetyOptions(Document):
+    """Bounds that hold for every run.
+
+    v_m_s, omega_deg_s, acceleration_m_s2, angular_acceleration_deg_s2 : in place of the robot's
+        operating limits; never above its hardware's.
+    max_frame_age_s : an older frame is no view of the present.
+    frozen_timeout_s : a camera that delivers nothing newer for this long has failed.
+    lost_timeout_s : the robot waits this long at a standstill for lost features to come back.
+    max_command_age_s : a command is withdrawn when no newer one follows for this long.
+    """
+
+    v_m_s: Positive | None = None
+    omega_deg_s: Positive | None = None
+    acceleration_m_s2: Positive | None = None
+    angular_acceleration_deg_s2: Positive | None = None
+    max_frame_age_s: Positive = 0.5
+    frozen_timeout_s: Positive = 3.0
+    lost_timeout_s: Positive = 5.0
+    max_command_age_s: Positive = 0.5
+
+
+class LostError(VisctrlError):
+    """The features did not come back in time."""
+
+
+class UnsafeCommandError(VisctrlError):
+    """A controller asked for something that is not a velocity."""
+
+    exit_code = 3
+
+
+def effective_limits(robot: Robot, options: SafetyOptions, origin: str) -> Limits:
+    """Return the robot's operating limits with those of ``options`` in their place.
+
+    Raises
+    ------
+    InputError
+        One is above what the robot's hardware can do.
+    """
+    changes: dict[str, float] = {}
+    for name in Limits.model_fields:
+        wanted = getattr(options, name)
+        if wanted is None:
+            continue
+        most = getattr(robot.hardware, name)
+        if wanted > most:
+            raise InputError(
+                f"{origin}: key 'safety.{name}': at most {most:g} for robot '{robot.name}' "
+                f"(got {wanted:g})"
+            )
+        changes[name] = wanted
+    return robot.operating.model_copy(update=changes)
+
+
+class Guard:
+    """Judges frames, estimates and commands; one per run.
+
+    Parameters
+    ----------
+    limits : Limits or None
+        Bounds of speed and acceleration; None for an ideal base.
+    options : SafetyOptions
+        Ages and timeouts.
+    period : float
+        Nominal tick (s): the time that the first command's ramp counts on.
+    """
+
+    def __init__(self, limits: Limits | None, options: SafetyOptions, period: float) -> None:
+        self._limits = limits
+        self._options = options
+        self._period = period
+        self._sent = STANDSTILL
+        self._sent_at: float | None = None
+        self._seen_at: float | None = None
+
+    def begin(self, now: float) -> None:
+        """Start a stage: the robot stands, and features count as seen now."""
+        self._sent = STANDSTILL
+        self._sent_at = None
+        self._seen_at = now
+
+    def too_old(self, frame: Frame, now: float) -> bool:
+        """Return whether a frame is no view of the present any more at ``now`` (s)."""
+        return now - frame.stamp > self._options.max_frame_age_s
+
+    def frame_problem(self, frame: Frame, now: float) -> str:
+        """Return why a frame must not be used at ``now`` (s), empty if it may be.
+
+        Raises
+        ------
+        StaleFrameError
+            The camera has delivered nothing newer for too long.
+        """
+        if not self.too_old(frame, now):
+            return ""
+        age = now - frame.stamp
+        if age > self._options.frozen_timeout_s:
+            raise StaleFrameError(
+                f"the camera has frozen: its newest frame is {age:.1f} s old (allowed "
+                f"{self._options.frozen_timeout_s:g} s)"
+            )
+        return f"frame is {age:.2f} s old"
+
+    def must_hold(self, health: Health, reason: str, now: float) -> bool:
+        """Return whether the robot must stand still for want of features.
+
+        Raises
+        ------
+        LostError
+            They have been missing for too long.
+        """
+        if health is not Health.LOST:
+            self._seen_at = now
+            return False
+        if self._seen_at is None:
+            self._seen_at = now
+        if now - self._seen_at > self._options.lost_timeout_s:
+            waited = f"for {self._options.lost_timeout_s:g} s"
+            raise LostError(f"features lost {waited}" + (f": {reason}" if reason else ""))
+        return True
+
+    def permit(self, wanted: Velocity, now: float) -> Velocity:
+        """Return what may be sent in place of ``wanted``: bounded in speed and in its change.
+
+        Speeds are scaled together, which keeps the curvature; each of v and ω then moves from
+        the last command no faster than its acceleration bound allows.
+
+        Raises
+        ------
+        UnsafeCommandError
+            The velocity is not finite.
+        """
+        if not wanted.finite:
+            raise UnsafeCommandError(f"velocity is not finite: v {wanted.v}, omega {wanted.omega}")
+        limits = self._limits
+        if limits is None:
+            return wanted
+        omega_max = limits.omega_rad_s
+        excess = max(1.0, abs(wanted.v) / limits.v_m_s, abs(wanted.omega) / omega_max)
+        dt = self._period if self._sent_at is None else now - self._sent_at
+        return Velocity(
+            _ramped(self._sent.v, wanted.v / excess, limits.acceleration_m_s2 * dt),
+            _ramped(
+                self._sent.omega, wanted.omega / excess, limits.angular_acceleration_rad_s2 * dt
+            ),
+        )
+
+    def was_sent(self, sent: Velocity, now: float) -> None:
+        """Note what the base was told."""
+        self._sent = sent
+        self._sent_at = now
+
+    def expired(self, now: float) -> bool:
+        """Return whether the command in force is too old to leave a robot moving."""
+        return (
+            self._sent_at is not None
+            and self._sent != STANDSTILL
+            and now - self._sent_at > self._options.max_command_age_s
+        )
+
+
+def _ramped(value: float, goal: float, step: float) -> float:
+    return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)

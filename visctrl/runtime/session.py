@@ -1,0 +1,318 @@
+"""A run from opening the backend to the files it leaves: target view, approach, main stage."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from hal.errors import DeviceError
+from hal.interfaces import Backend
+from hal.types import Pose
+from robots.errors import InputError, VisctrlError
+from visctrl.config import to_yaml
+from visctrl.plugins import Context, Perception, Plugin
+from visctrl.runtime.interrupts import Interrupted, Interrupts
+from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
+from visctrl.runtime.pictures import Pictures
+from visctrl.runtime.plan import Chosen, Plan, StagePlan
+from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, RunDirectory
+from visctrl.runtime.records import Observer
+from visctrl.runtime.safety import Guard, LostError
+from visctrl.runtime.summary import FAULT as FAULTED
+from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, Meter, judge, summarise
+
+T = TypeVar("T")
+
+_KEYBOARD_INTERRUPT = 130
+#: Slower than this, the robot stands (m/s, rad/s).
+_STANDING = (1e-3, 2e-3)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a run.
+
+    summary : see `summarise`.
+    directory : where its files lie, None if none were asked for.
+    notes : what the user should know besides, a sentence each.
+    """
+
+    summary: dict[str, Any]
+    exit_code: int
+    directory: Path | None
+    notes: tuple[str, ...]
+
+
+def run_session(
+    plan: Plan,
+    out: Path | None = None,
+    *,
+    video: bool = False,
+    observers: Sequence[Observer] = (),
+) -> Outcome:
+    """Run a plan to its end, whatever that is.
+
+    Parameters
+    ----------
+    plan : Plan
+        What to run.
+    out : Path or None
+        Run directory; None writes nothing.
+    video : bool
+        Also write an MP4 of the camera's images.
+    observers : sequence of Observer
+        Told about everything that happens.
+
+    Raises
+    ------
+    InputError
+        Something cannot be used, found before the robot was told anything. Nothing is left
+        behind. Every other failure is an `Outcome`.
+    """
+    return _Session(plan, out, video, observers).run()
+
+
+class _Session:
+    def __init__(
+        self, plan: Plan, out: Path | None, video: bool, observers: Sequence[Observer]
+    ) -> None:
+        self._plan = plan
+        self._directory = RunDirectory(out) if out is not None else None
+        self._meter = Meter()
+        self._video = video
+        self._observers: list[Observer] = [self._meter, *observers]
+        self._recorder: Recorder | None = None
+        self._pictures: Pictures | None = None
+        self._interrupts = Interrupts()
+        self._tally = Tally()
+        self._plugins: list[Plugin[Any]] = []
+        self._notes: list[str] = []
+        self._truth: Pose | None = None
+        self._began: tuple[float, float] | None = None
+        self._took = (0.0, 0.0)
+
+    def run(self) -> Outcome:
+        with self._interrupts:
+            try:
+                with self._plan.open_backend() as backend:
+                    end = self._conduct(backend)
+            except InputError:
+                if self._directory is not None:
+                    self._directory.discard()
+                raise
+            except BaseException as error:
+                end = _ended_by(error)
+            self._interrupts.ignore()
+            return self._finish(end)
+
+    # --- with the backend open ---------------------------------------------------------------
+
+    def _conduct(self, backend: Backend) -> End:
+        """Run every stage; return how it ended, with the robot told to stand still."""
+        try:
+            end = self._stages(backend)
+        except BaseException as error:
+            if isinstance(error, InputError) and self._tally.ticks == 0:
+                raise
+            end = _ended_by(error)
+        finally:
+            self._interrupts.ignore()
+            self._stop(backend)
+        self._truth = backend.truth()
+        if self._truth is not None:
+            self._meter.move_to(self._truth)
+        return end
+
+    def _stages(self, backend: Backend) -> End:
+        plan, scenario = self._plan, self._plan.scenario
+        context = plan.context(backend.clock.lockstep)
+        perception = self._build(plan.perception, context)
+        stages = [
+            self._stage("main", plan.main, context, scenario.duration_s),
+        ]
+        if plan.approach is not None:
+            timeout = scenario.approach.timeout_s
+            stages.insert(0, self._stage("approach", plan.approach, context, timeout))
+        self._start_recording(stages, perception, backend.clock.lockstep)
+        self._take_target(backend, perception)
+        self._take_initial(backend, perception)
+        loop = Loop(
+            backend,
+            perception,
+            plan.perception.name,
+            Guard(plan.limits, scenario.safety, plan.period_s),
+            plan.period_s,
+            self._interrupts,
+            self._observers,
+        )
+        self._tally = loop.tally
+        self._began = (backend.clock.now(), time.perf_counter())
+        finished = True
+        for stage in stages:
+            finished = self._run_stage(stage, loop, backend, perception)
+            if stage.name == "approach" and not finished:
+                waited = f"after {stage.duration:g} s"
+                return End(MISSED, f"the robot did not face the target {waited}", 1)
+        elapsed = backend.clock.now() - self._began[0]
+        self._settle(backend)
+        return judge(plan, finished, backend.truth(), backend.collisions(), elapsed)
+
+    def _run_stage(
+        self, stage: Stage, loop: Loop, backend: Backend, perception: Perception[Any]
+    ) -> bool:
+        """Run one stage; after a turn, take the initial view again from where the robot is."""
+        _call(f"estimator '{stage.estimator_name}'", stage.estimator.reset)
+        loop.moved = False
+        finished = loop.run(stage)
+        if stage.name == "approach" and finished and loop.moved:
+            self._settle(backend)
+            try:
+                self._take_initial(backend, perception)
+            except InputError as error:
+                raise LostError(f"after turning to the target: {error}") from error
+        return finished
+
+    def _stage(self, name: str, plan: StagePlan, context: Context, duration: float) -> Stage:
+        return Stage(
+            name,
+            self._build(plan.estimator, context),
+            self._build(plan.controller, context),
+            plan.estimator.name,
+            plan.controller.name,
+            duration,
+        )
+
+    def _build(self, chosen: Chosen[T], context: Context) -> T:
+        plugin = _call(f"{chosen.kind} '{chosen.name}'", lambda: chosen.build(context))
+        if isinstance(plugin, Plugin):
+            self._plugins.append(plugin)
+        return plugin
+
+    def _start_recording(
+        self, stages: Sequence[Stage], perception: Perception[Any], lockstep: bool
+    ) -> None:
+        if self._directory is None:
+            return
+        named: list[tuple[str, Plugin[Any]]] = [(self._plan.perception.name, perception)]
+        for stage in stages:
+            named.append((stage.estimator_name, stage.estimator))
+            named.append((stage.controller_name, stage.controller))
+        self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
+        self._recorder = Recorder(self._directory.path, named, lockstep=lockstep)
+        self._pictures = Pictures(self._plan.camera, self._directory)
+        if self._video:
+            self._pictures.start_video(self._plan.scenario.rate_hz, lockstep=lockstep)
+        self._observers += [self._recorder, self._pictures]
+
+    def _take_target(self, backend: Backend, perception: Perception[Any]) -> None:
+        self._tell("taking the target view")
+        frames = backend.teach(self._plan.scenario.target.frames)
+        if not frames:
+            raise InputError(
+                f"backend '{self._plan.scenario.backend}' cannot visit the target: it needs a "
+                "target view from a file"
+            )
+        _call(self._perceiver, lambda: perception.set_target(frames))
+        for observer in self._observers:
+            observer.on_target(frames[0])
+
+    def _take_initial(self, backend: Backend, perception: Perception[Any]) -> None:
+        self._tell("matching the initial view to the target")
+        frame = backend.camera.read()
+        match = _call(self._perceiver, lambda: perception.set_initial(frame))
+        for observer in self._observers:
+            observer.on_initial(frame, match)
+
+    @property
+    def _perceiver(self) -> str:
+        return f"perception '{self._plan.perception.name}'"
+
+    def _tell(self, text: str) -> None:
+        for observer in self._observers:
+            observer.on_message(text)
+
+    def _settle(self, backend: Backend) -> None:
+        """Wait until the robot stands: two odometry reports in a row, or the time allowed."""
+        clock, period = backend.clock, self._plan.period_s
+        deadline = clock.now() + self._plan.scenario.approach.settle_s
+        standing = 0
+        while standing < 2 and clock.now() < deadline:
+            clock.sleep_until(clock.now() + period)
+            velocity = backend.base.odometry().velocity
+            still = abs(velocity.v) < _STANDING[0] and abs(velocity.omega) < _STANDING[1]
+            standing = standing + 1 if still else 0
+
+    def _stop(self, backend: Backend) -> None:
+        """Stop the base and the plugins; a failure is noted and stops nothing else."""
+        if self._began is not None:
+            clock_began, wall_began = self._began
+            self._took = (backend.clock.now() - clock_began, time.perf_counter() - wall_began)
+        self._attempt("the base could not be stopped", backend.base.stop)
+        for plugin in self._plugins:
+            self._attempt(f"{type(plugin).__name__} could not be closed", plugin.close)
+
+    def _attempt(self, failure: str, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception as error:
+            self._notes.append(f"{failure}: {error}")
+
+    # --- with the backend closed -------------------------------------------------------------
+
+    def _finish(self, end: End) -> Outcome:
+        summary = summarise(self._plan, end, self._meter, self._tally, self._truth, self._took)
+        if self._recorder is not None:
+            self._attempt("recording", self._recorder.close)
+            if self._recorder.problem:
+                self._notes.append(self._recorder.problem)
+        if self._directory is not None:
+            self._write(self._directory, end, summary)
+        if self._tally.missed:
+            blame = ", ".join(f"{name} {n}" for name, n in self._tally.blame.most_common())
+            self._notes.append(f"{self._tally.missed} ticks missed, by cause: {blame}")
+        directory = self._directory.path if self._directory is not None else None
+        return Outcome(summary, end.exit_code, directory, tuple(self._notes))
+
+    def _write(self, directory: RunDirectory, end: End, summary: dict[str, Any]) -> None:
+        files = "a file could not be written"
+        config = to_yaml(self._plan.effective())
+        self._attempt(files, lambda: directory.write_text(CONFIG, config))
+        self._attempt(files, lambda: directory.write_summary(summary))
+        if end.details:
+            self._attempt(files, lambda: directory.write_text(FAULT, end.details))
+        self._attempt("pictures could not be drawn", self._draw)
+
+    def _draw(self) -> None:
+        if self._pictures is not None and (note := self._pictures.finish()):
+            self._notes.append(note)
+
+
+def _call(who: str, work: Callable[[], T]) -> T:
+    """Call into a plugin; what it raises for the user passes, anything else is its fault."""
+    try:
+        return work()
+    except VisctrlError:
+        raise
+    except Exception as error:
+        raise PluginError(who, error) from error
+
+
+def _ended_by(error: BaseException) -> End:
+    """Return what an exception makes of a run."""
+    if isinstance(error, Interrupted):
+        return End(STOPPED, str(error), error.exit_code)
+    if isinstance(error, KeyboardInterrupt):
+        return End(STOPPED, "stopped by Ctrl-C", _KEYBOARD_INTERRUPT)
+    if isinstance(error, LostError):
+        return End(LOST, str(error), 1)
+    if isinstance(error, PluginError):
+        return End(FAULTED, str(error), error.exit_code, error.details)
+    details = "".join(traceback.format_exception(error))
+    if isinstance(error, VisctrlError):
+        return End(FAULTED, str(error), DeviceError.exit_code, details)
+    reason = f"internal error: {type(error).__name__}: {error}"
+    return End(FAULTED, reason, DeviceError.exit_code, details)

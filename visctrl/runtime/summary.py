@@ -1,0 +1,168 @@
+"""The outcome of a run in numbers."""
+
+from __future__ import annotations
+
+import math
+import platform
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+import visctrl
+from hal.types import Pose
+from visctrl.runtime.loop import Tally
+from visctrl.runtime.plan import Plan
+from visctrl.runtime.records import COMPUTE, STAGES, Observer, TickRecord
+
+REACHED, MISSED, LOST, STOPPED, FAULT = "reached", "missed", "lost", "stopped", "fault"
+
+_PACKAGES = {
+    "numpy": "numpy",
+    "opencv": "opencv-python-headless",
+    "pybullet": "pybullet",
+    "scipy": "scipy",
+}
+_MS = 1000.0
+
+
+@dataclass(frozen=True)
+class End:
+    """How a run ended.
+
+    details : traceback of a fault, for a file; not for the user's eyes.
+    """
+
+    status: str
+    reason: str
+    exit_code: int
+    details: str = ""
+
+
+class Meter(Observer):
+    """Collects what the summary is made of, a few numbers a tick."""
+
+    def __init__(self) -> None:
+        self.lateness = array("d")
+        self.parts = {name: array("d") for name in STAGES[:-1]}
+        self.features = array("l")
+        self.path_length = 0.0
+        self.last: TickRecord | None = None
+        self._position: tuple[float, float] | None = None
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Take a tick into account."""
+        self.lateness.append(record.tick.lateness)
+        for name, seconds in zip(self.parts, record.seconds, strict=True):
+            self.parts[name].append(seconds)
+        if record.stage == "main":
+            self.features.append(len(record.views))
+        self.move_to(record.truth or record.odometry.pose)
+        self.last = record
+
+    def move_to(self, pose: Pose) -> None:
+        """Lengthen the path by the way to ``pose``."""
+        here = (pose.x, pose.y)
+        if self._position is not None:
+            self.path_length += math.dist(here, self._position)
+        self._position = here
+
+    def compute(self) -> Sequence[float]:
+        """Return what the plugins took, per tick (s)."""
+        return list(map(sum, zip(*(self.parts[name] for name in COMPUTE), strict=True)))
+
+
+def judge(plan: Plan, finished: bool, truth: Pose | None, collisions: int, t: float) -> End:
+    """Return how a run that went to its end has ended.
+
+    ``reached`` needs the controller's own termination test, no contact with anything, and,
+    where the truth is known, a final pose within the tolerance.
+    """
+    if collisions:
+        return End(MISSED, f"the robot touched something ({collisions} contacts)", 1)
+    if not finished:
+        return End(MISSED, f"the controller had not finished after {t:.1f} s", 1)
+    if truth is None:
+        return End(REACHED, "the controller finished; the true pose is not known", 0)
+    tolerance = plan.scenario.tolerance
+    distance, heading = math.hypot(truth.x, truth.y), abs(math.degrees(truth.phi))
+    where = f"{100.0 * distance:.2f} cm and {heading:.2f} deg from the target"
+    if distance <= tolerance.position_m and heading <= tolerance.heading_deg:
+        return End(REACHED, f"the controller finished {where}", 0)
+    return End(MISSED, f"the controller finished, but {where}", 1)
+
+
+def summarise(
+    plan: Plan,
+    end: End,
+    meter: Meter,
+    tally: Tally,
+    truth: Pose | None,
+    timing: tuple[float, float],
+) -> dict[str, Any]:
+    """Return the summary that ``--json`` prints and ``summary.json`` holds.
+
+    Parameters
+    ----------
+    plan, end, meter, tally
+        What ran, how it ended, what was measured and counted.
+    truth : Pose or None
+        Final true pose.
+    timing : (duration, wall)
+        Seconds on the backend's clock and on the wall's, first tick to standstill.
+    """
+    scenario = plan.scenario
+    duration, wall = timing
+    return {
+        "status": end.status,
+        "reason": end.reason,
+        "backend": scenario.backend,
+        "scheme": scenario.scheme,
+        "robot": scenario.robot,
+        "camera": plan.camera.name,
+        "seed": scenario.seed,
+        "final_error": None
+        if truth is None
+        else {"x_m": truth.x, "y_m": truth.y, "phi_deg": math.degrees(truth.phi)},
+        "path_length_m": meter.path_length,
+        "duration_s": duration,
+        "period_s": plan.period_s,
+        "ticks": tally.ticks,
+        "missed_ticks": tally.missed,
+        "lateness_ms": _spread(meter.lateness),
+        "compute_ms": _spread(meter.compute()),
+        "stages_ms": {name: _spread(values) for name, values in meter.parts.items()},
+        "real_time_factor": duration / wall if wall > 0.0 else None,
+        "features": _few(meter.features),
+        "versions": versions(),
+    }
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of this program and of what its results depend on."""
+    found = {"visctrl": visctrl.__version__, "python": platform.python_version()}
+    for name, package in _PACKAGES.items():
+        try:
+            found[name] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _spread(seconds: Sequence[float]) -> dict[str, float | None]:
+    if not len(seconds):
+        return {"median": None, "p99": None, "max": None}
+    ms = _MS * np.asarray(seconds, dtype=np.float64)
+    median, p99 = np.percentile(ms, (50.0, 99.0))
+    return {"median": float(median), "p99": float(p99), "max": float(ms.max())}
+
+
+def _few(counts: Sequence[int]) -> dict[str, int | float | None]:
+    if not len(counts):
+        return {"min": None, "median": None}
+    return {"min": min(counts), "median": float(np.median(counts))}
