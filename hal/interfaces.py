@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 from hal.central_camera import CentralCamera
 from hal.types import BaseStatus, Frame, Odometry, Pose, Velocity
@@ -80,6 +80,9 @@ class Backend(ABC):
 
     Leaving the context stops the base and releases every device, whatever happened.
     """
+
+    #: Whether frames carry identified features; else they carry images.
+    delivers_features: ClassVar[bool] = False
 
     robot: Robot
     camera: Camera

@@ -81,6 +81,7 @@ class MockBackend(Backend):
     """
 
     Options: ClassVar[type[MockOptions]] = MockOptions
+    delivers_features = True
 
     def __init__(
         self,

@@ -26,7 +26,6 @@ from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.schemes import (
     APPROACH_CONTROLLER,
     APPROACH_ESTIMATOR,
-    IDENTIFIED_FEATURES,
     scheme_named,
 )
 
@@ -144,7 +143,7 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
     true_camera = _at(loaded, ("camera_error",), lambda: _true(camera, scenario.camera_error))
     limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
     ideal = getattr(backend_options, "ideal", False)
-    perception, approach, main = _plugins(loaded, registries)
+    perception, approach, main = _plugins(loaded, registries, backend)
     return Plan(
         scenario=scenario,
         backend=backend,
@@ -161,12 +160,11 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
 
 
 def _plugins(
-    loaded: LoadedScenario, registries: Registries
+    loaded: LoadedScenario, registries: Registries, backend: type[Backend]
 ) -> tuple[Chosen[Perception[Any]], StagePlan | None, StagePlan]:
     scenario = loaded.scenario
     scheme = _at(loaded, ("scheme",), lambda: scheme_named(scenario.scheme))
-    sees_features = scenario.backend in IDENTIFIED_FEATURES
-    default = scheme.identified if sees_features else scheme.perception
+    default = scheme.identified if backend.delivers_features else scheme.perception
     perception = _choose(
         loaded, registries.perception, scenario.perception, default, ("perception",)
     )

@@ -102,7 +102,6 @@ class Registry(Generic[T]):
         if inspect.isabstract(found):
             missing = ", ".join(sorted(getattr(found, "__abstractmethods__", ())))
             raise InputError(f"{where} does not implement {missing}")
-        options_type(found, where)
         return cast(type[T], found)
 
 

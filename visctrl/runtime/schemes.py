@@ -14,7 +14,7 @@ class Scheme:
     """A preset of plugins by name.
 
     perception : for cameras that deliver images.
-    identified : for cameras that deliver identified features (the mock's).
+    identified : for backends that deliver identified features (the mock).
     approach : whether the robot first turns to the target when it does not head there.
     """
 
@@ -35,9 +35,6 @@ SCHEMES = {
 #: Turning towards the target before the main stage.
 APPROACH_ESTIMATOR = "planar-motion"
 APPROACH_CONTROLLER = "face-target"
-
-#: Backends whose camera delivers identified features instead of images.
-IDENTIFIED_FEATURES = frozenset({"mock"})
 
 
 def scheme_named(name: str) -> Scheme:
