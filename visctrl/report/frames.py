@@ -18,7 +18,6 @@ Image = NDArray[np.uint8]
 _BLANK = 32
 _MARK = (80, 220, 80)
 _TEXT = (255, 255, 255)
-_SHADOW = (0, 0, 0)
 #: Size of pictures that marks and letters are made for (px).
 _REFERENCE_WIDTH = 800
 
@@ -73,16 +72,9 @@ def save_picture(path: Path, picture: Image) -> None:
 
 
 def _write(picture: Image, text: str, scale: float) -> None:
-    origin = (round(10 * scale), round(24 * scale))
-    size, width = 0.6 * scale, max(1, round(scale))
-    for colour, extra in ((_SHADOW, 2), (_TEXT, 0)):
-        cv2.putText(
-            picture,
-            text,
-            origin,
-            cv2.FONT_HERSHEY_SIMPLEX,
-            size,
-            colour,
-            width + extra,
-            cv2.LINE_AA,
-        )
+    font, size, width = cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, max(1, round(scale))
+    margin = round(8 * scale)
+    (wide, high), below = cv2.getTextSize(text, font, size, width)
+    picture[: high + below + 2 * margin, : wide + 2 * margin] //= 4
+    origin = (margin, margin + high)
+    cv2.putText(picture, text, origin, font, size, _TEXT, width, cv2.LINE_AA)
