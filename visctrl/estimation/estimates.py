@@ -109,6 +109,9 @@ class TensorEstimate(Estimate):
 
     @property
     def determinant(self) -> float:
-        """(T122 − T111) sin φ1 + (T211 − T222) cos φ1: minus the target's forward distance."""
+        """(T111 − T122) sin φ1 + (T211 − T222) cos φ1: T_N times the decoupling matrix's (3.9).
+
+        It is minus the target's forward distance in units of T121.
+        """
         T, s, c = self.elements, np.sin(self.phi_1), np.cos(self.phi_1)
-        return float((T[T122] - T[T111]) * s + (T[T211] - T[T222]) * c)
+        return float((T[T111] - T[T122]) * s + (T[T211] - T[T222]) * c)

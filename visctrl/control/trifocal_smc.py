@@ -1,0 +1,275 @@
+"""Controller ``trifocal-smc``: sliding-mode control on the 1D trifocal tensor, in two steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from hal.types import STANDSTILL, Velocity
+from robots.documents import Document
+from visctrl.control.shaping import CommandShaper
+from visctrl.control.sliding_mode import CosineDescent
+from visctrl.control.trifocal_law import (
+    Gains,
+    Outputs,
+    Situation,
+    orientation_step,
+    position_step,
+    settling_step,
+)
+from visctrl.estimation.estimates import TensorEstimate
+from visctrl.plugins import Context, Controller, Decision, Estimate, Health, Signal
+
+PUBLISHED = Gains(1.0, 2.0, 0.02, 0.02, 0.0, 0.04, 0.0, 0.1, 0.05, 0.3)
+PRACTICAL = Gains(1.0, 2.0, 0.02, 0.02, 0.04, 0.0, 0.02, 0.1, 0.05, 1.5)
+
+#: Cruising speed of a base without limits (m/s), and its share of the limit of one that has.
+_IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
+#: Share of the acceleration bound that the reference may ask for.
+_ACCELERATION_SHARE = 0.7
+#: The robot waits this long for the last of the position error (s).
+_PATIENCE_S = 3.0
+#: Damping of the inverse in standard deviations of the lateral position.
+_DAMPING_SIGMAS = 15.0
+#: The robot stands when it is told to move slower than this.
+_STANDING = Velocity(0.006, math.radians(1.5))
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class TrifocalSmcOptions(Document):
+    """Options of `TrifocalSmc`. A gain that is left out takes the value of ``law``.
+
+    law : ``published`` is the source's, discontinuous; ``practical`` has boundary layers, a
+        damped inverse in place of the bounded law, a lateral reference that falls faster than
+        the forward one (so the robot stops turning as it arrives), and settles on angles.
+    tau_s : duration of step 1; from the distance and the speed limit if left out.
+    advance_m, advance_m_s : the straight leg that determines and scales the tensor.
+    finish : step 2 ends by ``threshold`` (position and heading within tolerance, standing) or
+        by ``time`` (after ``orientation_s``, 5/λω if left out).
+    tolerance_m, tolerance_deg : what counts as there, by the robot's own measurement.
+    steady_ticks : for how many ticks.
+    retreats : how often to back up and come again when the lateral error stays too large.
+    whole_units : round to whole mm/s and deg/s, carrying the remainder.
+    """
+
+    law: Literal["practical", "published"] = "practical"
+    tau_s: Positive | None = None
+    advance_m: NotNegative = 0.2
+    advance_m_s: Positive = 0.2
+    lateral_power: Annotated[float, Field(ge=1.0, le=5.0)] | None = None
+    lambda_1: Positive | None = None
+    lambda_2: Positive | None = None
+    kappa_1: NotNegative | None = None
+    kappa_2: NotNegative | None = None
+    boundary_layer: NotNegative | None = None
+    threshold: NotNegative | None = None
+    damping: NotNegative | None = None
+    k_v_m_s: NotNegative | None = None
+    k_omega_rad_s: NotNegative | None = None
+    lambda_omega: Positive | None = None
+    finish: Literal["threshold", "time"] = "threshold"
+    orientation_s: Positive | None = None
+    tolerance_m: Positive = 0.01
+    tolerance_deg: Positive = 0.3
+    steady_ticks: Annotated[int, Field(ge=1)] = 5
+    retreats: Annotated[int, Field(ge=0, le=10)] = 1
+    retreat_m: Positive = 0.4
+    whole_units: bool = True
+
+    def gains(self) -> Gains:
+        """Return the gains of the law, with those given here in their place."""
+        base = PUBLISHED if self.law == "published" else PRACTICAL
+        given = {name: getattr(self, name) for name in Gains._fields}
+        return base._replace(**{name: value for name, value in given.items() if value is not None})
+
+
+class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
+    """Phases: advance (straight), position (step 1), orientation (step 2), perhaps retreat."""
+
+    Options: ClassVar[type[TrifocalSmcOptions]] = TrifocalSmcOptions
+    accepts: ClassVar[type[Estimate]] = TensorEstimate
+    signals: ClassVar[tuple[Signal, ...]] = (
+        Signal("reference_xi1", "1"),
+        Signal("reference_xi2", "1"),
+        Signal("s1", "1"),
+        Signal("s2", "1"),
+        Signal("determinant", "1"),
+        Signal("progress", "s"),
+        Signal("tau", "s"),
+    )
+
+    def __init__(self, options: TrifocalSmcOptions, context: Context) -> None:
+        super().__init__(options, context)
+        self._gains = options.gains()
+        self._published = options.law == "published"
+        default_power = 1.0 if self._published else 3.0
+        self._power = options.lateral_power or default_power
+        self._shaper = CommandShaper(context.limits, whole_units=options.whole_units)
+        self._phase = "advance"
+        self._last_t: float | None = None
+        self._sent = STANDSTILL
+        self._advanced = 0.0
+        self._retreats = 0
+        self._values: dict[str, float] = {}
+        self._begin_position(None)
+
+    def update(self, estimate: TensorEstimate, t: float) -> Decision:
+        """Return the velocity for an estimate at ``t`` seconds since the start."""
+        dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
+        self._last_t = t
+        self._values = {}
+        if estimate.health is Health.LOST:
+            return self._hold()
+        if self._phase == "advance":
+            decision = self._advance(estimate, dt)
+            if decision is not None:
+                return decision
+        if estimate.health is not Health.OK:
+            return self._hold()
+        seen = Situation.of(estimate, self.context.camera_forward_m)
+        self._values = {"determinant": seen.determinant}
+        if self._phase == "advance":
+            self._begin_position(seen, estimate.scale_sd_m)
+        if self._phase == "position":
+            wanted = self._position(seen, dt)
+        elif self._phase == "retreat":
+            wanted = self._retreat(seen)
+        else:
+            wanted = self._orientation(seen, dt)
+            if self._finished(seen):
+                return Decision(self._shaper.stop(), self._phase, finished=True)
+        return self._command(wanted, dt)
+
+    def values(self) -> Mapping[str, float]:
+        """Return references, errors and the clock of step 1."""
+        return self._values
+
+    def _command(self, wanted: Velocity, dt: float) -> Decision:
+        self._sent = self._shaper.command(wanted, dt)
+        return Decision(self._sent, self._phase)
+
+    def _hold(self) -> Decision:
+        """Stand still; the reference's clock stands still with the robot."""
+        self._sent = self._shaper.stop()
+        return Decision(self._sent, self._phase)
+
+    def _advance(self, estimate: TensorEstimate, dt: float) -> Decision | None:
+        """Return the next command of the straight leg, None when it is done."""
+        self._advanced += self._sent.v * dt
+        left = self.options.advance_m - self._advanced
+        if left <= 1e-9 and estimate.health is Health.OK:
+            return None
+        if left <= -self.options.advance_m:
+            # Twice the leg and still no tensor: going on blindly is no remedy.
+            return self._hold()
+        return self._command(Velocity(self.options.advance_m_s, 0.0), dt)
+
+    def _begin_position(self, seen: Situation | None, scale_sd: float = math.inf) -> None:
+        self._progress = 0.0
+        self._waited = 0.0
+        self._steady = 0
+        self._offset = 0.0
+        self._reference = CosineDescent(1.0)
+        if seen is None:
+            self._from = (0.0, 0.0)
+            return
+        self._phase = "position"
+        self._from = (seen.right, seen.forward)
+        self._reference = self._descent(seen, scale_sd)
+
+    def _descent(self, seen: Situation, scale_sd: float) -> CosineDescent:
+        """Return the reference's time course: as given, or as fast as the limits allow."""
+        speed = max(self._sent.v, 0.0)
+        distance = max(seen.scale * math.hypot(seen.right, seen.forward), 1e-3)
+        if self.options.tau_s is not None:
+            if self._published:
+                return CosineDescent(self.options.tau_s)
+            return CosineDescent.joining(self.options.tau_s, speed / distance)
+        limits = self.context.limits
+        peak = _IDEAL_CRUISE
+        if limits is not None:
+            bound = math.sqrt(_ACCELERATION_SHARE * limits.acceleration_m_s2 * distance / 2.0)
+            peak = min(_CRUISE_SHARE * limits.v_m_s, bound)
+        # A scale that may be too small would make the robot faster than meant.
+        peak /= 1.0 + min(scale_sd / seen.scale, 1.0)
+        if self._published or speed >= peak:
+            return CosineDescent(math.pi / 2.0 * distance / peak)
+        start = math.asin(speed / peak)
+        return CosineDescent((math.pi - start) * distance / (peak * (1.0 + math.cos(start))), start)
+
+    def _position(self, seen: Situation, dt: float) -> Velocity:
+        """Return step 1's velocity and advance its clock; step 2 follows when it is over."""
+        reference, rate = self._references(seen)
+        s_1 = seen.outputs.xi_1 - reference.xi_1
+        s_2 = seen.outputs.xi_2 - reference.xi_2
+        self._values.update(
+            reference_xi1=reference.xi_1,
+            reference_xi2=reference.xi_2,
+            s1=s_1,
+            s2=s_2,
+            progress=self._progress,
+            tau=self._reference.duration,
+        )
+        damping = self._gains.damping
+        if damping > 0.0:
+            damping = max(damping, _DAMPING_SIGMAS * seen.lateral_sd)
+        wanted = position_step(seen, reference, rate, self._gains._replace(damping=damping))
+        # Where the robot is held back by its limits, the reference waits for it.
+        _, factor = self._shaper.bounded(wanted)
+        self._progress += dt * (1.0 if self._published else factor)
+        if self._progress >= self._reference.duration:
+            self._waited += dt
+            near = abs(seen.forward) * seen.scale < self.options.tolerance_m
+            if self._published or near or self._waited >= _PATIENCE_S:
+                self._phase, self._waited = "orientation", 0.0
+        return wanted
+
+    def _references(self, seen: Situation) -> tuple[Outputs, Outputs]:
+        """Return the references of ξ1, ξ2 and their rates (1/s)."""
+        level, slope = self._reference.at(self._progress)
+        right, forward = self._from
+        power = self._power
+        b, b_rate = right * level**power, right * power * level ** (power - 1.0) * slope
+        a, a_rate = forward * level, forward * slope
+        s, c = math.sin(seen.phi_1), math.cos(seen.phi_1)
+        return (
+            Outputs(c * a + s * b, c * b - s * a),
+            Outputs(c * a_rate + s * b_rate, c * b_rate - s * a_rate),
+        )
+
+    def _orientation(self, seen: Situation, dt: float) -> Velocity:
+        self._waited += dt
+        if self._published:
+            return orientation_step(seen, self._gains)
+        return settling_step(seen, self._gains)
+
+    def _finished(self, seen: Situation) -> bool:
+        """Return whether the robot's own measurements say that it is there (or time is up)."""
+        options = self.options
+        if options.finish == "time":
+            duration = options.orientation_s or 5.0 / self._gains.lambda_omega
+            return self._waited >= duration
+        turned = abs(seen.heading) <= math.radians(options.tolerance_deg)
+        forward = abs(seen.forward) * seen.scale <= options.tolerance_m
+        standing = abs(self._sent.v) <= _STANDING.v and abs(self._sent.omega) <= _STANDING.omega
+        self._steady = self._steady + 1 if turned and forward and standing else 0
+        if self._steady < options.steady_ticks:
+            return False
+        if abs(seen.right) * seen.scale <= options.tolerance_m:
+            return True
+        if self._retreats < options.retreats:
+            self._retreats += 1
+            self._phase = "retreat"
+        return False
+
+    def _retreat(self, seen: Situation) -> Velocity:
+        """Return the velocity straight back; step 1 begins again from there."""
+        if seen.forward * seen.scale >= self.options.retreat_m:
+            self._begin_position(seen, 0.0)
+            return STANDSTILL
+        return Velocity(-self.options.advance_m_s, 0.0)
