@@ -162,3 +162,29 @@ def config_command(
     from visctrl.cli.overrides import flag_overrides
 
     show_scenario(scenario, flag_overrides(settings=settings), resolve=resolve)
+
+
+@app.command("reproduce")
+def reproduce_command(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="Entries; all if left out.")
+    ] = None,
+    show_list: Annotated[bool, typer.Option("--list", help="Only list the entries.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for plots and tables.")] = Path(
+        "runs/reproduce"
+    ),
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Processes; one a core if left out.")
+    ] = None,
+) -> None:
+    """Run published tables and figures again and compare.
+
+    Exit code 0 only if every row is at least as good as the published one.
+    """
+    from visctrl.cli.reproduce import reproduce, show_entries
+
+    if show_list:
+        show_entries()
+        return
+    raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json))

@@ -1,0 +1,1 @@
+"""Experiments: many runs, what is published about them, and how ours compare."""
