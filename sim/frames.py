@@ -1,0 +1,17 @@
+"""The boundary between this project's axes and PyBullet's (REP-103: X forward, Y left, Z up)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Turns vectors (x right, y forward, z up) into (X forward, Y left, Z up).
+TO_ENGINE: Array = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def heading_matrix(phi: float) -> Array:
+    """Return the rotation (3, 3) from robot axes (right, forward, up) at heading φ to the world."""
+    s, c = np.sin(phi), np.cos(phi)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

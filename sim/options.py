@@ -1,0 +1,39 @@
+"""What can be set about a simulated run."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from hal.actuation import ActuationOptions
+from hal.faults import Faults
+from robots.documents import Document
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class SimOptions(Document):
+    """Options of the simulated backend.
+
+    scene : name of a scene of this package, or the path of a scene file.
+    renderer : ``tiny`` draws in software everywhere; ``egl`` needs a working EGL driver;
+        ``auto`` takes EGL where its probe succeeds. EGL pays off on a GPU only.
+    image_noise : standard deviation of the pixel noise (grey levels).
+    blur_px : Gaussian blur of the optics (px).
+    exposure : amplitude of slow, smooth changes of the image's gain (0.2: between 0.8 and 1.2).
+    detail : rendered pixels per image pixel, along a line; more costs time quadratically.
+    show_floor : draw the floor's texture; without it the floor is one shade.
+    gui : show PyBullet's own window.
+    """
+
+    scene: str = "hall"
+    renderer: Literal["auto", "tiny", "egl"] = "tiny"
+    image_noise: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
+    blur_px: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    exposure: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    detail: Annotated[float, Field(ge=0.25, le=4.0)] = 1.0
+    show_floor: bool = True
+    gui: bool = False
+    actuation: ActuationOptions = ActuationOptions()
+    faults: Faults = Faults()

@@ -1,0 +1,155 @@
+"""From a scene to textured rectangles: what a renderer draws."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.scene import Finish, Item, Room, Scene
+from sim.textures import Pattern
+
+Array = NDArray[np.float64]
+
+#: Texture coordinates stay below 1, where TinyRenderer would wrap them to 0.
+_LAST = 1.0 - 1e-6
+#: Keeps panels on walls off the wall's own plane.
+_GROUND_CLEARANCE_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """One visible side: ``corner`` + a ``right`` + b ``up``, 0 ≤ a, b ≤ 1, as its viewer sees it.
+
+    u : (from, to) range of the horizontal texture coordinate.
+    """
+
+    corner: Array
+    right: Array
+    up: Array
+    u: tuple[float, float] = (0.0, 1.0)
+
+    @property
+    def corners(self) -> Array:
+        """(4, 3): counter-clockwise for the viewer, from the lower left."""
+        return self.corner + np.stack(
+            [0 * self.up, self.right, self.right + self.up, self.up], axis=0
+        )
+
+    @property
+    def normal(self) -> Array:
+        """Unit vector (3,) towards the viewer."""
+        normal = np.cross(self.right, self.up)
+        return np.asarray(normal / np.linalg.norm(normal))
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Rectangles that share one texture. ``item`` names the scene's item, "" for the room."""
+
+    name: str
+    pattern: Pattern
+    sides: tuple[Rectangle, ...]
+    item: str = ""
+
+    def obj(self, to_engine: Array) -> str:
+        """Return a Wavefront mesh, its vertices turned by ``to_engine`` (3, 3)."""
+        lines = []
+        for side in self.sides:
+            lines += ["v {:.9g} {:.9g} {:.9g}".format(*c) for c in side.corners @ to_engine.T]
+            u0, u1 = min(side.u[0], _LAST), min(side.u[1], _LAST)
+            corners = ((u0, 0.0), (u1, 0.0), (u1, _LAST), (u0, _LAST))
+            lines += [f"vt {u:.7f} {v:.7f}" for u, v in corners]
+        for i in range(len(self.sides)):
+            a, b, c, d = (4 * i + k for k in range(1, 5))
+            lines += [f"f {a}/{a} {b}/{b} {c}/{c}", f"f {a}/{a} {c}/{c} {d}/{d}"]
+        return "\n".join(lines) + "\n"
+
+
+def surfaces(scene: Scene) -> tuple[Surface, ...]:
+    """Return everything that is drawn, the floor and ceiling excepted."""
+    drawn = wall_surfaces(scene)
+    for item in scene.items:
+        drawn += item_surfaces(item, scene.seed)
+    return tuple(drawn)
+
+
+def wall_surfaces(scene: Scene) -> list[Surface]:
+    """Return the room's walls, cut into tiles, seen from inside."""
+    room = scene.room
+    (x0, x1), (y0, y1) = room.x_m, room.y_m
+    walls = {
+        "front": ((x0, y1), (x1, y1)),
+        "right": ((x1, y1), (x1, y0)),
+        "back": ((x1, y0), (x0, y0)),
+        "left": ((x0, y0), (x0, y1)),
+    }
+    tiles = []
+    for name, (start, end) in walls.items():
+        tiles += _tiles(f"{name} wall", np.array(start), np.array(end), room, scene.seed)
+    return tiles
+
+
+def _tiles(name: str, start: Array, end: Array, room: Room, seed: int) -> list[Surface]:
+    length = float(np.linalg.norm(end - start))
+    count = max(1, round(length / room.tile_m))
+    step = np.append((end - start) / count, 0.0)
+    up = np.array([0.0, 0.0, room.height_m])
+    return [
+        Surface(
+            f"{name} {i}",
+            _pattern(room.walls, length / count, room.height_m, 0.0, f"{name} {i}", seed),
+            (Rectangle(np.append(start, 0.0) + i * step, step, up),),
+        )
+        for i in range(count)
+    ]
+
+
+def item_surfaces(item: Item, seed: int) -> list[Surface]:
+    """Return an item's four sides, and its top and bottom where they can be seen.
+
+    The broad sides have a texture each; narrow ones, top and bottom are painted plainly.
+    """
+    width, depth, height = item.size_m
+    yaw = math.radians(item.yaw_deg)
+    x = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    y = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    z = np.array([0.0, 0.0, 1.0])
+    bottom = item.bottom_m + _GROUND_CLEARANCE_M
+    centre = np.array([*item.at_m, bottom])
+    around = (
+        ("front", x, y, width, depth),
+        ("right", y, -x, depth, width),
+        ("back", -x, -y, width, depth),
+        ("left", -y, x, depth, width),
+    )
+    drawn = []
+    for side, right, inward, span, thick in around:
+        corner = centre - right * span / 2 - inward * thick / 2
+        rectangle = Rectangle(corner, right * span, z * height)
+        drawn.append(_item_side(item, side, span, height, rectangle, seed))
+    flat = centre - x * width / 2 - y * depth / 2
+    top = Rectangle(flat + z * height, x * width, y * depth)
+    drawn.append(_item_side(item, "top", width, depth, top, seed))
+    if item.bottom_m > 0:
+        under = Rectangle(flat + y * depth, x * width, -y * depth)
+        drawn.append(_item_side(item, "bottom", width, depth, under, seed))
+    return drawn
+
+
+def _item_side(
+    item: Item, side: str, width: float, height: float, rectangle: Rectangle, seed: int
+) -> Surface:
+    name = f"{item.name} {side}"
+    margin = min(item.margin_m, 0.2 * min(width, height))
+    return Surface(name, _pattern(item, width, height, margin, name, seed), (rectangle,), item.name)
+
+
+def _pattern(
+    finish: Finish, width: float, height: float, margin: float, name: str, seed: int
+) -> Pattern:
+    # Too narrow for features: a texture would only flicker.
+    kind = finish.pattern if min(width, height) > 0.1 else "plain"
+    return Pattern(width, height, kind, finish.shade, finish.contrast, margin, name, seed)
