@@ -31,30 +31,31 @@ class WorldClock(Clock):
     """The time of a simulated world, which it advances.
 
     Lock-stepped, the world moves only while somebody sleeps: results do not depend on how long
-    work takes. In real time the world follows the wall clock, so late work is really late;
-    devices call `synchronise` before they look at the world or change it.
+    work takes. Following another clock, it is brought up to that clock's time whenever somebody
+    looks, so late work is really late: devices call `synchronise` before they look at the world
+    or change it.
 
     Parameters
     ----------
     advance : callable
         Moves the world on by so many seconds.
-    realtime : bool
-        Follow the wall clock.
+    follow : Clock or None
+        The wall clock, starting with the world at zero; None is lock-step.
     """
 
-    def __init__(self, advance: Callable[[float], None], *, realtime: bool) -> None:
+    def __init__(self, advance: Callable[[float], None], follow: Clock | None = None) -> None:
         self._advance = advance
-        self._wall = WallClock() if realtime else None
+        self._wall = follow
         self._time = 0.0
         self._lock = threading.RLock()
-        self.lockstep = not realtime
+        self.lockstep = follow is None
 
     def now(self) -> float:
-        """Return the wall clock's time (s), or the world's if it is lock-stepped."""
+        """Return the followed clock's time (s), or the world's if it is lock-stepped."""
         return self._time if self._wall is None else self._wall.now()
 
     def sleep_until(self, deadline: float) -> None:
-        """Bring the world to ``deadline`` (s); in real time, sleep first."""
+        """Bring the world to ``deadline`` (s), asleep meanwhile if it follows a clock."""
         if self._wall is None:
             self._advance_to(deadline)
         else:

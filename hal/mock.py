@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from hal.actuation import Actuation, ActuationOptions
 from hal.central_camera import CentralCamera
-from hal.clock import WorldClock
+from hal.clock import WallClock, WorldClock
 from hal.errors import LinkError
 from hal.faults import Faults, FaultyCapture, check_link
 from hal.interfaces import Backend, Base, Camera
@@ -126,7 +126,7 @@ class MockBackend(Backend):
         )
         actuation = _EXACT if options.ideal else options.actuation
         motion = _Motion(self._start, self._mount.forward_m, self._limits, actuation)
-        clock = WorldClock(motion.advance, realtime=self._realtime)
+        clock = WorldClock(motion.advance, WallClock() if self._realtime else None)
         drops = FaultyCapture(options.faults, np.random.default_rng(drop_seed))
         projector = _Projector(points, self._true_camera, options.noise_px)
         self._motion, self.clock = motion, clock

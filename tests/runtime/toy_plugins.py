@@ -1,4 +1,4 @@
-"""Plugins that do little and fail on demand, for tests of what runs them."""
+"""Plugins and a backend that do little and fail on demand, for tests of what runs them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,71 @@ import os
 import signal
 import time
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from hal.types import Velocity
+from hal.errors import CameraError
+from hal.mock import MockBackend, MockOptions
+from hal.types import BaseStatus, Frame, Velocity
 from robots.documents import Document
 from visctrl.plugins import Controller, Decision, Estimate, Estimator, Health, Signal, Views
 
-FAR = math.inf
+
+class SpyOptions(MockOptions):
+    """Faults that the mock itself does not have."""
+
+    camera_dies_s: float | None = None
+    base_fault_s: float | None = None
+    stop_fails: bool = False
+
+
+class SpyBackend(MockBackend):
+    """A mock that notes what is sent to its base and whether it was closed."""
+
+    Options = SpyOptions
+    opened: ClassVar[list[SpyBackend]] = []
+
+    def __init__(self, *, options: SpyOptions, **others: Any) -> None:
+        super().__init__(options=options, **others)
+        self.spy_options = options
+        self.commands: list[tuple[float, Velocity]] = []
+        self.closed = 0
+
+    def open(self) -> None:
+        super().open()
+        self.opened.append(self)
+        self._watch_commands()
+        self._watch_camera()
+        self.base.status = self._status  # type: ignore[method-assign]
+
+    def close(self) -> None:
+        super().close()
+        self.closed += 1
+
+    def _watch_commands(self) -> None:
+        command = self.base.command
+
+        def noted(velocity: Velocity) -> Velocity:
+            sent = command(velocity)
+            self.commands.append((self.clock.now(), sent))
+            return sent
+
+        self.base.command = noted  # type: ignore[method-assign]
+
+    def _watch_camera(self) -> None:
+        read = self.camera.read
+        dies = self.spy_options.camera_dies_s
+
+        def failing() -> Frame:
+            if dies is not None and self.clock.now() >= dies:
+                raise CameraError("the camera is gone")
+            return read()
+
+        self.camera.read = failing  # type: ignore[method-assign]
+
+    def _status(self) -> BaseStatus:
+        at = self.spy_options.base_fault_s
+        broken = at is not None and self.clock.now() >= at
+        return BaseStatus(12.5, ("left wheel stalled",) if broken else ())
 
 
 class NoOptions(Document):
@@ -30,12 +88,15 @@ class ToyEstimator(Estimator[NoOptions, ToyEstimate]):
 
     Options: ClassVar[type[NoOptions]] = NoOptions
     signals = (Signal("distance", "m"),)
+    distance = 0.0
 
     def reset(self) -> None:
         self.distance = 0.0
+        self.steps: list[float] = []
 
     def update(self, views: Views, sent: Velocity, dt: float) -> ToyEstimate:
         self.distance += sent.v * dt
+        self.steps.append(dt)
         return ToyEstimate(views.health, views.reason, len(views))
 
     def values(self) -> dict[str, float]:
@@ -43,7 +104,7 @@ class ToyEstimator(Estimator[NoOptions, ToyEstimate]):
 
 
 class ToyOptions(Document):
-    """Drive with (v, omega) for ``drive_s``, then finish; do ``trouble`` at ``at_s``."""
+    """Drive with (v, omega) for ``drive_s``, then finish; make ``trouble`` at ``at_s``."""
 
     v: float = 0.2
     omega: float = 0.0
@@ -93,3 +154,19 @@ class ToyController(Controller[ToyOptions, ToyEstimate]):
             case "sigint":
                 os.kill(os.getpid(), signal.SIGINT)
         return None
+
+
+class ToyApproachOptions(Document):
+    turn_s: float = 1.0
+
+
+class ToyApproach(Controller[ToyApproachOptions, ToyEstimate]):
+    """Turns for a while; for no time at all, it finishes at once."""
+
+    Options: ClassVar[type[ToyApproachOptions]] = ToyApproachOptions
+    accepts = ToyEstimate
+
+    def update(self, estimate: ToyEstimate, t: float) -> Decision:
+        if t < self.options.turn_s - 1e-9:
+            return Decision(Velocity(0.0, 0.2), "turn")
+        return Decision(phase="faced", finished=True)

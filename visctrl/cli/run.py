@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -43,7 +45,7 @@ def run(
     plan = make_plan(loaded)
     directory = out if out is not None else _fresh_directory(plan)
     console = Console(stderr=True)
-    with Progress(console, plan, enabled=not quiet) as progress:
+    with _stdout_as_stderr(), Progress(console, plan, enabled=not quiet) as progress:
         outcome = run_session(plan, directory, video=video, observers=[progress])
     for note in outcome.notes:
         print(f"visctrl: {note}", file=sys.stderr)
@@ -54,6 +56,24 @@ def run(
     if outcome.exit_code and (quiet or as_json):
         print(f"visctrl: {outcome.summary['status']}: {outcome.summary['reason']}", file=sys.stderr)
     return outcome.exit_code
+
+
+@contextmanager
+def _stdout_as_stderr() -> Iterator[None]:
+    """Send what libraries print to stderr, that of C code included: stdout is for results."""
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:
+        yield
+        return
+    try:
+        os.dup2(2, 1)
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def _check_flags(overrides: Sequence[Override], backend: str) -> None:

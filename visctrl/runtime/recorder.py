@@ -72,7 +72,8 @@ class RunDirectory:
 
     def discard(self) -> None:
         """Leave nothing behind: the run has not begun."""
-        (self.path / CONFIG).unlink(missing_ok=True)
+        for name in FILES:
+            (self.path / name).unlink(missing_ok=True)
         if self._is_new:
             self.path.rmdir()
 

@@ -87,6 +87,9 @@ class _Session:
         self._observers: list[Observer] = [self._meter, *observers]
         self._recorder: Recorder | None = None
         self._pictures: Pictures | None = None
+        if self._directory is not None:
+            self._pictures = Pictures(plan.camera, self._directory)
+            self._observers.append(self._pictures)
         self._interrupts = Interrupts()
         self._tally = Tally()
         self._plugins: list[Plugin[Any]] = []
@@ -101,6 +104,8 @@ class _Session:
                 with self._plan.open_backend() as backend:
                     end = self._conduct(backend)
             except InputError:
+                if self._recorder is not None:
+                    self._recorder.close()
                 if self._directory is not None:
                     self._directory.discard()
                 raise
@@ -137,9 +142,9 @@ class _Session:
         if plan.approach is not None:
             timeout = scenario.approach.timeout_s
             stages.insert(0, self._stage("approach", plan.approach, context, timeout))
-        self._start_recording(stages, perception, backend.clock.lockstep)
         self._take_target(backend, perception)
         self._take_initial(backend, perception)
+        self._start_recording(stages, perception, backend.clock.lockstep)
         loop = Loop(
             backend,
             perception,
@@ -195,18 +200,17 @@ class _Session:
     def _start_recording(
         self, stages: Sequence[Stage], perception: Perception[Any], lockstep: bool
     ) -> None:
-        if self._directory is None:
+        if self._directory is None or self._pictures is None:
             return
+        if self._video:
+            self._pictures.start_video(self._plan.scenario.rate_hz, lockstep=lockstep)
         named: list[tuple[str, Plugin[Any]]] = [(self._plan.perception.name, perception)]
         for stage in stages:
             named.append((stage.estimator_name, stage.estimator))
             named.append((stage.controller_name, stage.controller))
         self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
         self._recorder = Recorder(self._directory.path, named, lockstep=lockstep)
-        self._pictures = Pictures(self._plan.camera, self._directory)
-        if self._video:
-            self._pictures.start_video(self._plan.scenario.rate_hz, lockstep=lockstep)
-        self._observers += [self._recorder, self._pictures]
+        self._observers.append(self._recorder)
 
     def _take_target(self, backend: Backend, perception: Perception[Any]) -> None:
         self._tell("taking the target view")

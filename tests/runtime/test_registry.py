@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from robots.errors import InputError
+from visctrl.runtime.registry import Registries, estimate_type
+
+PLUGINS = """
+import sys
+from visctrl.plugins import Controller, Decision, Estimate
+from robots.documents import Document
+
+class Options(Document):
+    speed: float = 0.1
+
+class Good(Controller):
+    Options = Options
+    accepts = Estimate
+    def update(self, estimate, t):
+        return Decision(finished=True)
+
+class Unfinished(Controller):
+    Options = Options
+
+class NoOptions(Good):
+    Options = dict
+
+not_a_class = 3
+"""
+
+ENTRY_POINTS = """
+[visctrl.controllers]
+good = third_party:Good
+unfinished = third_party:Unfinished
+no-options = third_party:NoOptions
+number = third_party:not_a_class
+gone = third_party_gone:Good
+misspelt = third_party:God
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Registries:
+    """Registries where a third party's package is installed."""
+    info = tmp_path / "third_party-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: third-party\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(ENTRY_POINTS)
+    (tmp_path / "third_party.py").write_text(PLUGINS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "third_party", raising=False)
+    return Registries()
+
+
+def test_entry_points_extend_the_table_and_load_on_use(installed: Registries) -> None:
+    assert "good" in installed.controllers.names()
+    assert installed.controllers.target("good") == "third_party:Good"
+    assert "third_party" not in sys.modules
+    assert installed.controllers.load("good").__name__ == "Good"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "unfinished",
+            "controller 'unfinished' (third_party:Unfinished) does not implement update",
+        ),
+        ("number", "(third_party:not_a_class) is not a subclass of Controller"),
+        ("gone", "cannot be loaded: No module named 'third_party_gone'"),
+        ("misspelt", "cannot be loaded"),
+        ("goood", "unknown controller 'goood'; known: "),
+    ],
+)
+def test_broken_plugins_are_named(installed: Registries, name: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        installed.controllers.load(name)
+    assert words in str(caught.value)
+
+
+def test_names_of_planned_plugins_are_known_but_not_there(registries: Registries) -> None:
+    registries.controllers.builtin["some-day"] = "visctrl.control.some_day:SomeDay"
+    assert "some-day" in registries.controllers.known()
+    assert "some-day" not in registries.controllers.names()
+    with pytest.raises(InputError, match="controller 'some-day' is not available yet"):
+        registries.controllers.load("some-day")
+
+
+def test_estimators_say_what_they_give(registries: Registries) -> None:
+    found = estimate_type(registries.estimators.load("toy"))
+    assert found is not None
+    assert found.__name__ == "ToyEstimate"
+
+
+def test_backend_options_come_without_the_backend(
+    monkeypatch: pytest.MonkeyPatch, registries: Registries
+) -> None:
+    def forbid(name: str) -> Callable[[], None]:
+        raise AssertionError(f"{name} was loaded")
+
+    monkeypatch.setattr(registries.backends, "load", forbid)
+    assert "noise_px" in registries.backend_options("mock").model_fields
+    assert "renderer" in registries.backend_options("sim").model_fields

@@ -1,0 +1,119 @@
+"""Who may import whom, what stays unimported, and what is shipped."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+#: Each room may import itself and the rooms to its left.
+ROOMS = ("robots", "hal", "sim", "visctrl")
+HEAVY = ("cv2", "pybullet", "scipy", "matplotlib", "filterpy")
+
+
+def imports_of(path: Path) -> set[str]:
+    """Return the top-level packages that a file imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.partition(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_imports_point_one_way(room: str) -> None:
+    forbidden = set(ROOMS[ROOMS.index(room) + 1 :])
+    if room == "visctrl":
+        forbidden = set()
+    files = sorted((ROOT / room).rglob("*.py"))
+    assert files
+    for path in files:
+        wrong = imports_of(path) & forbidden
+        assert not wrong, f"{path.relative_to(ROOT)} imports {', '.join(sorted(wrong))}"
+
+
+@pytest.mark.parametrize(
+    ("room", "package"),
+    [
+        ("robots", "cv2"),
+        ("robots", "pybullet"),
+        ("hal", "pybullet"),
+        ("visctrl", "pybullet"),
+        ("visctrl", "serial"),
+        ("visctrl", "sim"),
+    ],
+)
+def test_rooms_leave_to_others_what_is_theirs(room: str, package: str) -> None:
+    """Physics lives in sim, the serial port in hal; visctrl reaches a backend by its name."""
+    for path in sorted((ROOT / room).rglob("*.py")):
+        assert package not in imports_of(path), f"{path.relative_to(ROOT)} imports {package}"
+
+
+def test_only_the_runtime_looks_at_the_wall_clock() -> None:
+    for folder in ("geometry", "perception", "estimation", "control"):
+        for path in sorted((ROOT / "visctrl" / folder).rglob("*.py")):
+            assert "time" not in imports_of(path), f"{path.relative_to(ROOT)} imports time"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["--version"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    code = (
+        "import sys\n"
+        f"sys.argv = ['visctrl', *{arguments!r}]\n"
+        "from visctrl.cli.main import main\n"
+        "try:\n    main()\n"
+        "except SystemExit as end:\n    assert not end.code, end.code\n"
+        f"loaded = [name for name in {HEAVY!r} if name in sys.modules]\n"
+        "assert not loaded, loaded\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_options_of_every_backend_come_without_heavy_imports() -> None:
+    code = (
+        "import sys\n"
+        "from visctrl.runtime.registry import REGISTRIES\n"
+        "for name in ('mock', 'sim'):\n    REGISTRIES.backend_options(name)()\n"
+        f"loaded = [name for name in {HEAVY!r} if name in sys.modules]\n"
+        "assert not loaded, loaded\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_package_data_is_found() -> None:
+    from hal.central_camera import camera_names, load_camera
+    from robots import load_robot, robot_names
+    from visctrl.config import DEFAULT_SCENARIO, scenario_names
+
+    assert {"p3dx", "p3at"} <= set(robot_names())
+    assert {"perspective", "hypercatadioptric", "paracatadioptric", "fisheye"} <= set(
+        camera_names()
+    )
+    assert DEFAULT_SCENARIO in scenario_names()
+    for name in robot_names():
+        assert load_robot(name).name == name
+        assert "<robot" in load_robot(name).urdf().read_text()
+    for name in camera_names():
+        assert load_camera(name).name == name
+    scenes = [f.name for f in (resources.files("sim") / "scenes").iterdir()]
+    assert any(name.endswith(".yaml") for name in scenes)
+
+
+def test_files_are_short() -> None:
+    for room in ROOMS:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            lines = len(path.read_text(encoding="utf-8").splitlines())
+            assert lines <= 400, f"{path.relative_to(ROOT)} has {lines} lines"
