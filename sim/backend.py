@@ -2,200 +2,68 @@
 
 from __future__ import annotations
 
-import math
-import time
+from typing import ClassVar
 
 import numpy as np
 
 from hal.actuation import Actuation
 from hal.central_camera import CentralCamera
+from hal.clock import WallClock, WorldClock
 from hal.errors import CameraError, LinkError
 from hal.faults import FaultyCapture, check_link
-from hal.interfaces import Backend, Base, Camera, Clock
+from hal.interfaces import Backend, Base, Camera
 from hal.types import Frame, Odometry, Pose, Velocity
 from robots import Limits, Robot
 from robots.model import Mount
-from robots.unicycle import step_exact
 from sim.imaging import Sensor
 from sim.options import SimOptions
-from sim.physics import STEPS_PER_SECOND, Physics
-from sim.renderer import BulletRenderer, Renderer, choose_drawer
+from sim.physics import Physics
+from sim.renderer import BulletRenderer, choose_drawer
 from sim.scene import Scene, load_scene
+from sim.world import World
 
-_STEP_S = 1.0 / STEPS_PER_SECOND
 _TARGET = Pose(0.0, 0.0, 0.0)
-#: A world this far behind the wall clock is caught up, not more: beyond, time itself is late.
-_STEP_TOLERANCE = 1e-6
-
-
-class World:
-    """Everything simulated, advanced to a time on demand.
-
-    Time counts from the opening of the backend. The wheels follow the actuation's set-point in
-    every physics step, less the slip that odometry does not notice.
-    """
-
-    def __init__(
-        self,
-        physics: Physics,
-        renderer: Renderer,
-        sensor: Sensor,
-        actuation: Actuation,
-        options: SimOptions,
-        mount: Mount,
-    ) -> None:
-        self.physics = physics
-        self.actuation = actuation
-        self._renderer = renderer
-        self._sensor = sensor
-        self._options = options.actuation
-        self._mount = mount
-        self._steps = 0
-        self._sequence = 0
-        self._dead_reckoned = Pose(0.0, 0.0, 0.0)
-        self._measured = Velocity(0.0, 0.0)
-
-    @property
-    def time(self) -> float:
-        """Simulated time (s)."""
-        return self._steps * _STEP_S
-
-    def advance(self, t: float) -> None:
-        """Step the physics until ``t`` (s)."""
-        while self._steps + _STEP_TOLERANCE < t * STEPS_PER_SECOND:
-            set_point = self.actuation.velocity_at(self.time, _STEP_S)
-            self.physics.drive(self._options.executed(set_point))
-            self.physics.step()
-            self._reckon()
-            self._steps += 1
-
-    def skip(self, t: float) -> None:
-        """Let time pass to ``t`` (s) while the world stands still (somebody carries the robot)."""
-        self._steps = max(self._steps, math.ceil(t * STEPS_PER_SECOND - _STEP_TOLERANCE))
-
-    def put(self, camera: Pose) -> None:
-        """Put the robot down at rest with its camera at ``camera``; odometry starts anew."""
-        self.actuation.halt()
-        self.physics.put(Pose(*step_exact(camera, -self._mount.forward_m, 0.0, 1.0)))
-        self._dead_reckoned = Pose(0.0, 0.0, 0.0)
-        self._measured = Velocity(0.0, 0.0)
-
-    def camera_pose(self) -> Pose:
-        """Return where the camera is, in the target's frame."""
-        ahead = step_exact(self.physics.axle(), self._mount.forward_m, 0.0, 1.0)
-        return Pose(*ahead.tolist())
-
-    def odometry(self) -> Odometry:
-        """Return the camera point's dead-reckoned pose since the robot was put down."""
-        return Odometry(self.time, self._dead_reckoned, self._measured)
-
-    def photograph(self, stamp: float) -> Frame:
-        """Return a new frame."""
-        ideal = self._renderer.render(self.camera_pose(), self._mount.height_m)
-        self._sequence += 1
-        return Frame(stamp, self._sequence, self._sensor.expose(ideal, stamp, self._sequence))
-
-    def close(self) -> None:
-        """Release both PyBullet clients."""
-        self._renderer.close()
-        self.physics.close()
-
-    def _reckon(self) -> None:
-        wheels = self.physics.wheel_velocity()
-        self._measured = Velocity(
-            wheels.v / (1.0 - self._options.slip_v),
-            wheels.omega / (1.0 - self._options.slip_omega),
-        )
-        pose = self._dead_reckoned
-        middle = pose.phi + self._measured.omega * _STEP_S / 2
-        self._dead_reckoned = Pose(
-            pose.x - self._measured.v * _STEP_S * math.sin(middle),
-            pose.y + self._measured.v * _STEP_S * math.cos(middle),
-            pose.phi + self._measured.omega * _STEP_S,
-        )
-
-
-class SteppedClock(Clock):
-    """Time that passes only while somebody waits for it: the world advances as fast as it can."""
-
-    lockstep = True
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._now = 0.0
-
-    def now(self) -> float:
-        """See `Clock.now`."""
-        return self._now
-
-    def sleep_until(self, deadline: float) -> None:
-        """See `Clock.sleep_until`."""
-        if deadline > self._now:
-            self._world.advance(deadline)
-            self._now = deadline
-
-
-class WallClock(Clock):
-    """The wall's time, which the world follows: work that takes long is late."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._start = time.perf_counter()
-
-    def now(self) -> float:
-        """See `Clock.now`."""
-        return time.perf_counter() - self._start
-
-    def sleep_until(self, deadline: float) -> None:
-        """See `Clock.sleep_until`."""
-        wait = deadline - self.now()
-        if wait > 0.0:
-            time.sleep(wait)
-        self._world.advance(self.now())
 
 
 class SimCamera(Camera):
     """The simulated camera. A frame is rendered only when it is read."""
 
     def __init__(
-        self, model: CentralCamera, world: World, clock: Clock, capture: FaultyCapture
+        self, model: CentralCamera, world: World, clock: WorldClock, capture: FaultyCapture
     ) -> None:
         super().__init__(model)
         self._world = world
         self._clock = clock
         self._capture = capture
         self._newest: Frame | None = None
+        self._read_at = 0.0
 
     def read(self) -> Frame:
         """See `Camera.read`. Reading twice at one instant gives one frame."""
-        now = self._clock.now()
-        if self._newest is not None and self._newest.stamp == now:
-            return self._newest
-        self._world.advance(now)
-        frame = self._capture.deliver(now, lambda: self._world.photograph(now))
-        self._newest = frame
-        return frame
+        now = self._clock.synchronise()
+        if self._newest is None or now > self._read_at:
+            self._newest = self._capture.deliver(now, lambda: self._world.photograph(now))
+            self._read_at = now
+        return self._newest
 
 
 class SimBase(Base):
     """The simulated base."""
 
-    def __init__(self, world: World, clock: Clock, options: SimOptions) -> None:
+    def __init__(self, world: World, clock: WorldClock, options: SimOptions) -> None:
         self._world = world
         self._clock = clock
         self._faults = options.faults
 
     def command(self, velocity: Velocity) -> Velocity:
         """See `Base.command`."""
-        now = self._clock.now()
-        self._world.advance(now)
+        now = self._clock.synchronise()
         check_link(self._faults, now)
         return self._world.actuation.request(now, velocity)
 
     def odometry(self) -> Odometry:
         """See `Base.odometry`."""
-        self._world.advance(self._clock.now())
-        return self._world.odometry()
+        return self._world.odometry(self._clock.synchronise())
 
 
 class SimBackend(Backend):
@@ -222,6 +90,11 @@ class SimBackend(Backend):
     realtime : bool
         Follow the wall clock instead of stepping as fast as possible.
     """
+
+    Options: ClassVar[type[SimOptions]] = SimOptions
+
+    # Narrower than the interface: what this backend really has.
+    clock: WorldClock
 
     def __init__(
         self,
@@ -259,7 +132,7 @@ class SimBackend(Backend):
         scene.check_clear(_TARGET, self._mount.forward_m, self.robot, "target")
         self._world = self._build(scene)
         self._world.put(self._start)
-        clock: Clock = WallClock(self._world) if self._realtime else SteppedClock(self._world)
+        clock = WorldClock(self._world.advance, WallClock() if self._realtime else None)
         rng = np.random.default_rng([self._seed, 2])
         capture = FaultyCapture(self._options.faults, rng)
         self.clock = clock
@@ -285,12 +158,14 @@ class SimBackend(Backend):
         world.put(_TARGET)
         frames = [world.photograph(self.clock.now()) for _ in range(count)]
         world.put(self._start)
-        world.skip(self.clock.now())
         return frames
 
     def truth(self) -> Pose | None:
         """See `Backend.truth`."""
-        return self._world.camera_pose() if self._world is not None else None
+        if self._world is None:
+            return None
+        self.clock.synchronise()
+        return self._world.camera_pose()
 
     def collisions(self) -> int:
         """See `Backend.collisions`."""
@@ -318,7 +193,7 @@ class SimBackend(Backend):
             self._seed,
         )
         actuation = Actuation(self._limits, options.actuation)
-        return World(physics, renderer, sensor, actuation, options, self._mount)
+        return World(physics, renderer, sensor, actuation, options.actuation, self._mount)
 
     def _opened(self) -> World:
         if self._world is None:

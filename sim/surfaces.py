@@ -70,10 +70,11 @@ class Surface:
 
 def surfaces(scene: Scene) -> tuple[Surface, ...]:
     """Return everything that is drawn, the floor and ceiling excepted."""
-    drawn = wall_surfaces(scene)
+    drawn: list[Surface] = []
     for item in scene.items:
         drawn += item_surfaces(item, scene.seed)
-    return tuple(drawn)
+    # What is in front comes first: a rasteriser need not shade what it hides.
+    return (*drawn, *wall_surfaces(scene))
 
 
 def wall_surfaces(scene: Scene) -> list[Surface]:
