@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -19,7 +20,8 @@ from hal.types import Frame, Pose
 
 Array = NDArray[np.float64]
 CAMERA_HEIGHT_M = 0.8
-_TEXELS = 512
+# Textures are wider than any wall: where they repeated, wrong matches would be right ones.
+_TEXELS, _WIDTH_M = 1024, 8.2
 _LEVELS = 9
 
 
@@ -34,21 +36,22 @@ class Rectangle:
     texture: int
 
 
+@cache
 def texture(seed: int) -> list[NDArray[np.float32]]:
-    """Return the mip levels (half an octave apart in blur) of tiling 1/f noise, 2 m wide."""
+    """Return the mip levels (half an octave apart in blur) of 1/f noise, 8.2 m wide."""
     rng = np.random.default_rng(seed)
     spectrum = np.fft.fft2(rng.normal(size=(_TEXELS, _TEXELS)))
     f = np.hypot(np.fft.fftfreq(_TEXELS)[:, None], np.fft.fftfreq(_TEXELS)[None]) * _TEXELS
     f[0, 0] = 1.0
-    # Beyond 100 periods the texture would only alias; below 3 it is shading.
-    base = np.fft.ifft2(spectrum * f**-1.1 * (f > 2) * np.exp(-((f / 100) ** 2))).real
+    # Periods from 2 cm, below which the texture would only alias, to 80 cm.
+    base = np.fft.ifft2(spectrum * f**-1.1 * (f > 10) * np.exp(-((f / 400) ** 2))).real
     base = np.sign(base) * np.abs(base / base.std()) ** 0.8
-    padded = np.pad(128 + 48 * base, _TEXELS // 2, mode="wrap").astype(np.float32)
-    half = _TEXELS // 2
-    levels = []
+    edge = 32
+    padded = np.pad(128 + 48 * base, edge, mode="wrap").astype(np.float32)
+    levels: list[NDArray[np.float32]] = []
     for level in range(_LEVELS):
         blurred = cv2.GaussianBlur(padded, (0, 0), 0.5 * 2 ** (level / 2))
-        levels.append(np.clip(blurred[half:-half, half:-half], 0, 255).astype(np.float32))
+        levels.append(np.clip(blurred[edge:-edge, edge:-edge], 0, 255).astype(np.float32))
     return levels
 
 
@@ -136,9 +139,9 @@ class Room:
         for rectangle in extra:
             self._textures.setdefault(rectangle.texture, texture(rectangle.texture))
         _, distance, which, at = self.cast(self._rays, pose, scene)
-        texels = at * (_TEXELS / 2.0)
+        texels = at * (_TEXELS / _WIDTH_M)
         # Blur of half a pixel's footprint, in texels, as a (fractional) level.
-        blur = 0.5 * distance * self._footprint * (_TEXELS / 2.0)
+        blur = 0.5 * distance * self._footprint * (_TEXELS / _WIDTH_M)
         level = np.clip(2 * np.log2(np.maximum(blur, 1e-3) / 0.5), 0, _LEVELS - 1.001)
         grey = np.zeros(len(distance), dtype=np.float32)
         for number, rectangle in enumerate(scene):

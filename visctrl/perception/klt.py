@@ -28,12 +28,11 @@ from visctrl.perception.tracker import follow, returns
 from visctrl.plugins import Context, Signal, Views
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 # Standard deviation of a position (px): what is assumed at first, and bounds of what is reported.
-_SIGMA_PX, _LEAST_SIGMA_PX, _GREATEST_SIGMA_PX = 0.25, 0.1, 1.0
+_SIGMA_PX, _LEAST_SIGMA_PX, _GREATEST_SIGMA_PX = 0.25, 0.05, 1.0
 # A SIFT position before alignment.
 _SIFT_SIGMA_PX = 0.5
 # Share of the tracks that must agree with one motion before the others are thrown out.
@@ -91,20 +90,19 @@ class Klt(NaturalPerception[KltOptions]):
         seed, canvas, options = self.context.seed, self.canvas, self.options
         sift_sigma = _SIFT_SIGMA_PX / canvas.scale
 
-        def search(image: Grey) -> Recognised | None:
-            return recognise(self._describe(image), landmarks, canvas, sift_sigma, seed)
+        def search(seen: Picture) -> Recognised | None:
+            return recognise(self._describe(seen.image), landmarks, canvas, sift_sigma, seed)
 
         self._search = Reacquisition(
             search, canvas, options.reacquisition_ticks, self.context.lockstep
         )
         self._map = landmarks.map
         self._anchors = Anchors(landmarks)
-        self._image = picture.image
-        chosen = spread(
-            landmarks.initial.points, landmarks.likeness, options.max_features, canvas.shape
-        )
-        self._tracks = _Tracks(np.sort(chosen), landmarks.initial.points[np.sort(chosen)])
-        self._at_start = len(chosen)
+        self._picture = picture
+        self._likeness = landmarks.likeness
+        every = np.arange(len(landmarks))
+        self._tracks = self._chosen(_Tracks(every, landmarks.initial.points))
+        self._at_start = len(self._tracks)
         self._pose = landmarks.map.initial_pose
         self._step = np.zeros(3)
         self._sigma = _SIGMA_PX / canvas.scale
@@ -114,13 +112,14 @@ class Klt(NaturalPerception[KltOptions]):
     def _measure(self, picture: Picture, stamp: float) -> Views:
         assert self._search is not None
         values = prepared(picture.image)
-        tracks = self._followed(picture.image, values)
+        tracks = self._followed(picture, values)
         fit = self._fit(tracks, self._pose + self._step)
-        found = self._search.take(picture.image)
+        found = self._search.take(picture)
         recovered = 0
         if found is not None and not self._trusted(fit):
             self._anchors.expect(found.which, found.fit.pose)
-            tracks = self._held(values, _Tracks(found.which, found.points)).only_held()
+            tracks = self._chosen(_Tracks(found.which, found.points))
+            tracks = self._held(values, tracks).only_held()
             fit = self._fit(tracks, found.fit.pose)
             recovered = len(tracks)
         trusted = self._trusted(fit)
@@ -131,9 +130,9 @@ class Klt(NaturalPerception[KltOptions]):
             sought = self._recovered(values, tracks)
             recovered += len(sought)
             tracks = tracks.joined(sought)
-        self._tracks, self._image = tracks, picture.image
+        self._tracks, self._picture = tracks, picture
         if not trusted or len(tracks) < self.options.refill_share * self._at_start:
-            self._search.start(picture.image)
+            self._search.start(picture)
         self._count(tracks, recovered)
         if not trusted:
             agree = int(fit.inliers.sum())
@@ -143,24 +142,35 @@ class Klt(NaturalPerception[KltOptions]):
         shown = tracks.only_held() if tracks.mostly_held else tracks
         return self._views(shown.which, shown.points, self._sigma, stamp)
 
-    def _followed(self, image: Grey, values: Values) -> _Tracks:
+    def _followed(self, picture: Picture, values: Values) -> _Tracks:
         """Return the tracks in a new picture, without those that are lost.
 
         To recognise a fixed view's patch proves more than to track back; only the others have
         to do that.
         """
         before = self._tracks
-        moved, kept = follow(self._image, image, before.points)
-        points = self.canvas.canonical(moved)
-        kept &= self.canvas.inside(points, MARGIN_PX)
-        tracks = self._held(values, _Tracks(before.which[kept], points[kept]))
+        moved, kept = follow(self._picture, picture, before.points, self.canvas)
+        kept &= self.canvas.inside(moved, MARGIN_PX)
+        tracks = self._held(values, _Tracks(before.which[kept], moved[kept]))
         doubtful = np.flatnonzero(kept)[~tracks.held]
         returned = returns(
-            image, self._image, moved[doubtful], before.points[doubtful], self.options.backward_px
+            picture,
+            self._picture,
+            moved[doubtful],
+            before.points[doubtful],
+            self.canvas,
+            self.options.backward_px,
         )
         kept = tracks.held.copy()
         kept[~kept] = returned
         return tracks.subset(kept)
+
+    def _chosen(self, tracks: _Tracks) -> _Tracks:
+        """Return as many tracks as are to be followed, spread over the picture."""
+        count, shape = self.options.max_features, self.canvas.shape
+        return tracks.subset(
+            np.sort(spread(tracks.points, self._likeness[tracks.which], count, shape))
+        )
 
     def _held(self, values: Values, tracks: _Tracks) -> _Tracks:
         """Return the tracks aligned on the fixed views where these are recognised."""

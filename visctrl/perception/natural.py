@@ -37,7 +37,7 @@ class NaturalOptions(Document):
     px_per_rad : resolution of the cylindrical unwrap; by default the camera's own.
     """
 
-    keypoints: Annotated[int, Field(ge=50, le=5000)] = 900
+    keypoints: Annotated[int, Field(ge=50, le=5000)] = 2000
     min_matches: Annotated[int, Field(ge=8)] = 20
     min_features: Annotated[int, Field(ge=5)] = 10
     px_per_rad: Annotated[float, Field(gt=20, le=2000)] | None = None

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from hal.central_camera import CentralCamera
 from hal.errors import InputError
 from hal.types import Frame
-from visctrl.perception.unwrap import Canvas
+from visctrl.perception.unwrap import COARSENESS, Canvas
 
 Grey = NDArray[np.uint8]
 
 # Standard brightness and contrast; nearly three deviations fit into 8 bits.
 _MEAN, _SD = 128.0, 45.0
-# A scene has more contrast than this (grey levels); sensor noise, averaged over 4x4, has less.
+# A scene has more contrast than this (grey levels); sensor noise, averaged over blocks, has less.
 _BLANK_SD = 3.0
 # Frames of one pose are more alike than this, whatever the noise.
 _SAME_POSE_CORRELATION = 0.7
@@ -29,10 +29,12 @@ class Picture:
     """A frame drawn on the canvas, at standard brightness and contrast.
 
     image : (rows, columns) uint8.
+    coarse : the frame as it came, at a quarter of the size, float32.
     mean, contrast : of the frame as it came, within the field of view (grey levels).
     """
 
     image: Grey
+    coarse: NDArray[np.float32]
     mean: float
     contrast: float
 
@@ -56,16 +58,17 @@ def draw(image: Grey, canvas: Canvas) -> Picture:
     Lucas–Kanade compares grey levels, so that a change of exposure would look like motion.
     """
     warped = canvas.warp(image)
-    # Averaged over 4x4 pixels, sensor noise no longer passes for contrast.
+    # Averaged over blocks of pixels, sensor noise no longer passes for contrast.
     field = canvas.coarse_field
     rows, columns = field.shape
-    whole = warped[: 4 * rows, : 4 * columns]
+    whole = warped[: COARSENESS * rows, : COARSENESS * columns]
     coarse = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
     average, deviation = cv2.meanStdDev(coarse, mask=field)
     mean, contrast = float(average.item()), float(deviation.item())
     gain = _SD / max(contrast, _BLANK_SD)
     levels = np.clip(np.rint(_MEAN + gain * (np.arange(256) - mean)), 0, 255).astype(np.uint8)
-    return Picture(np.asarray(cv2.LUT(warped, levels), dtype=np.uint8), mean, contrast)
+    image = np.asarray(cv2.LUT(warped, levels), dtype=np.uint8)
+    return Picture(image, coarse.astype(np.float32), mean, contrast)
 
 
 def checked(frame: Frame, camera: CentralCamera, what: str) -> Grey:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.perception.landmarks import Recognised
+from visctrl.perception.pictures import Picture
 from visctrl.perception.tracker import follow
 from visctrl.perception.unwrap import Canvas
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 
 # A search that has not come back after this many pictures is about a place long left.
 _MAX_PICTURES = 20
@@ -38,7 +38,7 @@ class Reacquisition:
 
     def __init__(
         self,
-        search: Callable[[Grey], Recognised | None],
+        search: Callable[[Picture], Recognised | None],
         canvas: Canvas,
         ticks: int,
         lockstep: bool,
@@ -47,14 +47,14 @@ class Reacquisition:
         self._ticks, self._lockstep = ticks, lockstep
         self._executor: ThreadPoolExecutor | None = None
         self._future: Future[Recognised | None] | None = None
-        self._pictures: list[Grey] = []
+        self._pictures: list[Picture] = []
 
     @property
     def running(self) -> bool:
         """Whether a search is under way."""
         return self._future is not None
 
-    def start(self, picture: Grey) -> None:
+    def start(self, picture: Picture) -> None:
         """Search in a picture, unless a search is under way."""
         if self._future is not None:
             return
@@ -63,7 +63,7 @@ class Reacquisition:
         self._pictures = [picture]
         self._future = self._executor.submit(self._search, picture)
 
-    def take(self, picture: Grey) -> Recognised | None:
+    def take(self, picture: Picture) -> Recognised | None:
         """Return what was found, with its points followed to this picture, once it is due.
 
         To be called with every picture after the one that the search began with.
@@ -85,13 +85,13 @@ class Reacquisition:
             self._executor.shutdown(cancel_futures=True)
         self._executor, self._future, self._pictures = None, None, []
 
-    def _brought_forward(self, found: Recognised, pictures: list[Grey]) -> Recognised:
+    def _brought_forward(self, found: Recognised, pictures: list[Picture]) -> Recognised:
         """Follow points through a chain of pictures; those lost on the way are left out.
 
         One way only: what goes astray does not survive the comparison with the fixed views.
         """
         which, points = found.which, found.points
         for before, after in pairwise(pictures):
-            points, kept = follow(before, after, points)
-            which, points = which[kept], self._canvas.canonical(points[kept])
+            points, kept = follow(before, after, points, self._canvas)
+            which, points = which[kept], points[kept]
         return Recognised(which, points, found.fit)

@@ -2,57 +2,95 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.perception.pictures import Picture
+from visctrl.perception.unwrap import COARSENESS, Canvas
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Grey = NDArray[np.uint8]
 
-#: Window side (px) and pyramid levels above the image: motions to about 60 px a frame.
-WINDOW = 15
-LEVELS = 3
+#: Window side (px) and pyramid levels above the image.
+WINDOW, LEVELS = 15, 3
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
+# A correlation peak lower than this is no shift of the whole picture.
+_CLEAR_PEAK = 0.15
 
 
-def follow(previous: Grey, current: Grey, points: Array) -> tuple[Array, Mask]:
+def follow(
+    previous: Picture, current: Picture, points: Array, canvas: Canvas
+) -> tuple[Array, Mask]:
     """Follow points from one picture to another.
+
+    The search starts where the turn of the robot puts them, so that it need not be slow.
 
     Parameters
     ----------
-    previous, current : (rows, columns) uint8
-    points : (N, 2) points in ``previous``.
+    previous, current : Picture
+    points : (N, 2) canvas points in ``previous``.
+    canvas : Canvas
+        On which the pictures are drawn.
 
     Returns
     -------
-    moved : (N, 2) points in ``current``.
+    moved : (N, 2) canvas points in ``current``.
     found : (N,) whether each was found at all.
     """
     if len(points) == 0:
         return points.copy(), np.zeros(0, dtype=np.bool_)
-    start = points.astype(np.float32).reshape(-1, 1, 2)
+    across = np.array([shift(previous, current), 0.0])
+    expected = canvas.canonical(points + across)
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
-        previous,
-        current,
-        start,
-        np.empty_like(start),
+        previous.image,
+        current.image,
+        points.astype(np.float32).reshape(-1, 1, 2),
+        expected.astype(np.float32).reshape(-1, 1, 2),
         winSize=(WINDOW, WINDOW),
         maxLevel=LEVELS,
         criteria=_CRITERIA,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    return moved[:, 0].astype(np.float64), np.asarray(status[:, 0] > 0)
+    return canvas.canonical(moved[:, 0].astype(np.float64)), np.asarray(status[:, 0] > 0)
 
 
-def returns(current: Grey, previous: Grey, moved: Array, points: Array, tolerance: float) -> Mask:
+def returns(
+    current: Picture,
+    previous: Picture,
+    moved: Array,
+    points: Array,
+    canvas: Canvas,
+    tolerance: float,
+) -> Mask:
     """Return whether tracking back leads to where each point came from.
 
     Parameters
     ----------
-    current, previous : (rows, columns) uint8
+    current, previous : Picture
     moved, points : (N, 2) the points in ``current`` and where they were in ``previous``.
+    canvas : Canvas
     tolerance : float
         Greatest distance (px).
     """
-    back, found = follow(current, previous, moved)
+    back, found = follow(current, previous, moved, canvas)
     return np.asarray(found & (np.linalg.norm(back - points, axis=-1) <= tolerance))
+
+
+def shift(previous: Picture, current: Picture) -> float:
+    """Return by how much (px) a picture as a whole has moved to the right; 0 if it is unclear.
+
+    Phase correlation of the coarse pictures: on the unwrap this is the turn of the robot.
+    """
+    (across, _), peak = cv2.phaseCorrelate(
+        previous.coarse, current.coarse, _window(previous.coarse.shape)
+    )
+    return COARSENESS * across if peak > _CLEAR_PEAK else 0.0
+
+
+@cache
+def _window(shape: tuple[int, int]) -> NDArray[np.float32]:
+    window = cv2.createHanningWindow(shape[::-1], cv2.CV_32F)
+    return np.asarray(window, dtype=np.float32)

@@ -23,6 +23,8 @@ Grey = NDArray[np.uint8]
 
 #: Columns repeated beyond the seam, so that no window or pyramid level meets an edge there.
 SEAM_PADDING_PX = 80
+#: Side (px) of the blocks of pixels that a coarse picture averages.
+COARSENESS = 4
 #: Steeper features are near the robot or overhead: badly stretched, and useless for a bearing.
 MAX_ELEVATION_DEG = 45.0
 
@@ -51,9 +53,9 @@ class Canvas(ABC):
 
     @cached_property
     def coarse_field(self) -> Grey:
-        """The field at a quarter of the size."""
-        size = (self.shape[1] // 4, self.shape[0] // 4)
-        whole = self.field[: 4 * size[1], : 4 * size[0]]
+        """The field of the coarse picture (see `COARSENESS`)."""
+        size = (self.shape[1] // COARSENESS, self.shape[0] // COARSENESS)
+        whole = self.field[: COARSENESS * size[1], : COARSENESS * size[0]]
         return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
     @abstractmethod
