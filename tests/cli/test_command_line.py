@@ -9,11 +9,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 import yaml
+
+from visctrl.cli.main import main
+from visctrl.runtime.registry import REGISTRIES
 
 ROOT = Path(__file__).parents[2]
 TOYS = ROOT / "tests" / "runtime"
@@ -45,27 +50,44 @@ def environment(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": paths, "COLUMNS": "200"}
 
 
+@dataclass
+class Done:
+    """What a call of the program came to."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Call = Callable[..., Done]
+
+
 @pytest.fixture
 def visctrl(
-    tmp_path: Path, environment: dict[str, str]
-) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Return a function that runs the program in an empty directory."""
+    tmp_path: Path,
+    environment: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> Call:
+    """Return a function that runs the program in this process, in an empty directory.
 
-    def call(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "visctrl", *arguments],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+    The toy plugins are installed, and the plot page is not drawn: it takes a second.
+    """
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(TOYS)
+    monkeypatch.setitem(REGISTRIES.estimators.builtin, "toy", "toy_plugins:ToyEstimator")
+    monkeypatch.setitem(REGISTRIES.controllers.builtin, "toy", "toy_plugins:ToyController")
+    monkeypatch.setattr("visctrl.report.plots.plot_run", lambda source, target: target.touch())
+
+    def call(*arguments: str) -> Done:
+        capfd.readouterr()
+        monkeypatch.setattr(sys, "argv", ["visctrl", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        out, err = capfd.readouterr()
+        return Done(int(caught.value.code or 0), out, err)
 
     return call
-
-
-Call = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def test_json_is_the_summary_and_nothing_else(visctrl: Call, tmp_path: Path) -> None:
@@ -168,6 +190,27 @@ def test_signals_end_a_run_in_good_order(
     assert "Traceback" not in err
     files = {path.name for path in (tmp_path / "o").iterdir()}
     assert {"ticks.csv", "summary.json", "final.png", "plots.png"} <= files
+
+
+def test_the_module_is_the_program(environment: dict[str, str], tmp_path: Path) -> None:
+    """As a whole process, plots drawn, with plugins found through their entry points."""
+    done = subprocess.run(
+        [sys.executable, "-m", "visctrl", "run", "toy.yaml", "--json", "--out", "o", "--video"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["status"] == "reached"
+    assert (tmp_path / "o" / "plots.png").stat().st_size > 10_000
+    video = cv2.VideoCapture(str(tmp_path / "o" / "video.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 51
+    ok, picture = video.read()
+    assert ok
+    assert picture.shape == (600, 800, 3)
 
 
 def test_a_killed_run_leaves_a_readable_log(environment: dict[str, str], tmp_path: Path) -> None:

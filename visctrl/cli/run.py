@@ -11,7 +11,6 @@ from datetime import datetime
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from robots.errors import InputError
 from visctrl.cli.progress import Progress
@@ -100,23 +99,26 @@ def _fresh_directory(plan: Plan) -> Path:
 def _show(outcome: Outcome) -> None:
     """Print the short table at the end of a run."""
     summary = outcome.summary
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("status", f"[bold]{summary['status']}[/bold] ({summary['reason']})")
+    rows = [("status", f"{summary['status']}: {summary['reason']}")]
     if (error := summary["final_error"]) is not None:
-        table.add_row(
-            "final error",
-            f"x {100 * error['x_m']:+.2f} cm, y {100 * error['y_m']:+.2f} cm, "
-            f"phi {error['phi_deg']:+.2f} deg",
-        )
-    table.add_row("path", f"{summary['path_length_m']:.2f} m in {summary['duration_s']:.1f} s")
-    compute = summary["compute_ms"]
-    if compute["median"] is not None:
-        table.add_row(
-            "ticks",
-            f"{summary['ticks']}, {summary['missed_ticks']} missed; compute median "
-            f"{compute['median']:.1f} ms, p99 {compute['p99']:.1f} ms",
-        )
-    if (factor := summary["real_time_factor"]) is not None:
-        table.add_row("speed", f"{factor:.1f} x real time")
-    table.add_row("files", str(outcome.directory))
-    Console().print(table)
+        x, y, phi = 100.0 * error["x_m"], 100.0 * error["y_m"], error["phi_deg"]
+        rows.append(("final error", f"x {x:+.2f} cm, y {y:+.2f} cm, phi {phi:+.2f} deg"))
+    rows.append(("path", f"{summary['path_length_m']:.2f} m in {summary['duration_s']:.1f} s"))
+    compute, late = summary["compute_ms"], summary["lateness_ms"]
+    if summary["ticks"]:
+        rows += [
+            (
+                "ticks",
+                f"{summary['ticks']} of {1000.0 * summary['period_s']:g} ms, "
+                f"{summary['missed_ticks']} missed, lateness p99 {late['p99']:.1f} ms",
+            ),
+            ("compute", f"median {compute['median']:.1f} ms, p99 {compute['p99']:.1f} ms a tick"),
+            (
+                "features",
+                f"median {summary['features']['median']:g}, least {summary['features']['min']}",
+            ),
+            ("speed", f"{summary['real_time_factor']:.1f} x real time"),
+        ]
+    rows.append(("files", str(outcome.directory)))
+    for name, text in rows:
+        print(f"{name:<12} {text}")

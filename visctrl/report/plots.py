@@ -19,6 +19,7 @@ from visctrl.runtime.records import STAGES
 
 #: Most lines in one panel of plugin signals.
 _MOST_LINES = 8
+_ROW_INCHES = 4.2
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,13 @@ def plot_run(directory: Path, target: Path) -> None:
     ticks = read_ticks(directory / TICKS)
     groups = _signal_groups(ticks)
     rows = 2 + (len(groups) + 2) // 3
-    figure = Figure(figsize=(15.0, 4.2 * rows), layout="constrained")
+    height = _ROW_INCHES * rows
+    figure = Figure(figsize=(15.0, height))
     FigureCanvasAgg(figure)
+    # Fixed margins: a layout engine would draw the page twice.
+    figure.subplots_adjust(
+        left=0.05, right=0.95, wspace=0.32, bottom=0.6 / height, top=1 - 0.5 / height, hspace=0.3
+    )
     axes = figure.subplots(rows, 3, squeeze=False).ravel()
     panels = (_path, _states, _inputs, _features, _tick_times, _lateness)
     for panel, axis in zip(panels, axes, strict=False):
