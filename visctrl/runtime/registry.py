@@ -2,6 +2,7 @@
 
 A name comes from the tables below or from an entry point of an installed package, in the group
 ``visctrl.perception``, ``visctrl.estimators``, ``visctrl.controllers`` or ``visctrl.backends``.
+``module:Class`` names a class directly; the module may also lie in the current folder.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import sys
 import typing
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from hal.interfaces import Backend
@@ -61,6 +64,8 @@ class Registry(Generic[T]):
         InputError
             Unknown, or planned and not there yet; the message lists the known names.
         """
+        if ":" in name:
+            return name
         if name in self.builtin and _module_exists(self.builtin[name]):
             return self.builtin[name]
         if name in self._extensions:
@@ -82,7 +87,7 @@ class Registry(Generic[T]):
         target = self.target(name)
         module_name, _, attribute = target.partition(":")
         try:
-            found: object = importlib.import_module(module_name)
+            found: object = _import_module(module_name)
             for part in attribute.split("."):
                 found = getattr(found, part)
         except (ImportError, AttributeError) as error:
@@ -186,6 +191,14 @@ class Registries:
 _BACKEND_OPTIONS = {"sim": "sim.options:SimOptions", "mock": "hal.mock:MockOptions"}
 
 REGISTRIES = Registries()
+
+
+def _import_module(name: str) -> object:
+    """Import a module, also from the current folder, where an installed command does not look."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    return importlib.import_module(name)
 
 
 def _module_exists(target: str) -> bool:

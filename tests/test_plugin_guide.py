@@ -1,0 +1,38 @@
+"""The guide's example plugin works as printed."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from robots.errors import InputError
+from visctrl.config import load_scenario, parse_setting
+from visctrl.runtime.plan import make_plan
+from visctrl.runtime.registry import REGISTRIES
+from visctrl.runtime.session import run_session
+
+GUIDE = Path(__file__).parent.parent / "docs" / "plugins.md"
+
+
+@pytest.fixture
+def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    code = re.search(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+    assert code is not None
+    (tmp_path / "polar.py").write_text(code.group(1), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    return "controller.name=polar:Polar"
+
+
+def plan_with(*settings: str):
+    overrides = [parse_setting(text) for text in ("backend=mock", *settings)]
+    return make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+
+
+def test_the_example_reaches_the_target(example: str) -> None:
+    outcome = run_session(plan_with(example))
+    assert outcome.summary["status"] == "reached", outcome.summary["reason"]
+
+
+def test_a_misspelt_option_of_the_example_is_named(example: str) -> None:
+    with pytest.raises(InputError, match=r"k_roh.*did you mean 'k_rho'"):
+        plan_with(example, "controller.k_roh=1")
