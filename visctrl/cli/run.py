@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -104,21 +105,25 @@ def _show(outcome: Outcome) -> None:
         x, y, phi = 100.0 * error["x_m"], 100.0 * error["y_m"], error["phi_deg"]
         rows.append(("final error", f"x {x:+.2f} cm, y {y:+.2f} cm, phi {phi:+.2f} deg"))
     rows.append(("path", f"{summary['path_length_m']:.2f} m in {summary['duration_s']:.1f} s"))
-    compute, late = summary["compute_ms"], summary["lateness_ms"]
-    if summary["ticks"]:
-        rows += [
-            (
-                "ticks",
-                f"{summary['ticks']} of {1000.0 * summary['period_s']:g} ms, "
-                f"{summary['missed_ticks']} missed, lateness p99 {late['p99']:.1f} ms",
-            ),
-            ("compute", f"median {compute['median']:.1f} ms, p99 {compute['p99']:.1f} ms a tick"),
-            (
-                "features",
-                f"median {summary['features']['median']:g}, least {summary['features']['min']}",
-            ),
-            ("speed", f"{summary['real_time_factor']:.1f} x real time"),
-        ]
+    rows += _tick_rows(summary) if summary["ticks"] else []
     rows.append(("files", str(outcome.directory)))
     for name, text in rows:
         print(f"{name:<12} {text}")
+
+
+def _tick_rows(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the lines about a run that has ticked."""
+    compute, late, features = (summary[key] for key in ("compute_ms", "lateness_ms", "features"))
+    period = 1000.0 * summary["period_s"]
+    rows = [
+        (
+            "ticks",
+            f"{summary['ticks']} of {period:g} ms, {summary['missed_ticks']} missed, "
+            f"lateness p99 {late['p99']:.1f} ms",
+        ),
+        ("compute", f"median {compute['median']:.1f} ms, p99 {compute['p99']:.1f} ms a tick"),
+        ("speed", f"{summary['real_time_factor']:.1f} x real time"),
+    ]
+    if features["median"] is not None:
+        rows.insert(2, ("features", f"median {features['median']:g}, least {features['min']}"))
+    return rows

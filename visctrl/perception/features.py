@@ -138,7 +138,7 @@ def _features_of(frame: Frame) -> Features:
 
 
 def _bearing_per_pixel(camera: CentralCamera, pixels: Array) -> float:
-    """Return the median change of bearing (rad) that one pixel makes at ``pixels`` (N, 2)."""
+    """Return by how much (rad) noise of one pixel spreads a bearing: the median over (N, 2)."""
     squared = np.zeros(len(pixels))
     for axis in range(2):
         step = np.zeros(2)
@@ -147,4 +147,4 @@ def _bearing_per_pixel(camera: CentralCamera, pixels: Array) -> float:
         cross = ahead[:, 0] * behind[:, 1] - ahead[:, 1] * behind[:, 0]
         dot = ahead[:, 0] * behind[:, 0] + ahead[:, 1] * behind[:, 1]
         squared += (np.arctan2(cross, dot) / (2.0 * _STEP_PX)) ** 2
-    return float(np.sqrt(np.nanmedian(squared) / 2.0))
+    return float(np.sqrt(np.nanmedian(squared)))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from robots.errors import InputError
 from visctrl.plugins import Array
-from visctrl.runtime.recorder import TICKS
+from visctrl.runtime.recorder import TICKS, WORDS
 from visctrl.runtime.records import STAGES
 
 #: Most lines in one panel of plugin signals.
@@ -51,9 +51,9 @@ def read_ticks(path: Path) -> Ticks:
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            header, *rows = list(csv.reader(file))
+            header, *rows = list(csv.reader(file)) or [[]]
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as a tick log: {error}") from None
+        raise InputError(f"{path}: cannot be read: {error}") from None
     whole = [row for row in rows if len(row) == len(header)]
     columns = list(zip(*whole, strict=True)) or [() for _ in header]
     numbers: dict[str, Array] = {}
@@ -61,14 +61,21 @@ def read_ticks(path: Path) -> Ticks:
     units: dict[str, str] = {}
     for title, cells in zip(header, columns, strict=True):
         name, _, unit = title.partition(" [")
-        try:
-            numbers[name] = np.array([float(cell or "nan") for cell in cells])
-            units[name] = unit.rstrip("]")
-        except ValueError:
+        if name in WORDS:
             words[name] = list(cells)
-    if "t" not in numbers or "stage" not in header:
+        else:
+            numbers[name] = _as_numbers(cells, path)
+            units[name] = unit.rstrip("]")
+    if "t" not in numbers or "stage" not in words:
         raise InputError(f"{path}: is not a tick log")
     return Ticks(numbers, words, units)
+
+
+def _as_numbers(cells: Sequence[str], path: Path) -> Array:
+    try:
+        return np.array([float(cell or "nan") for cell in cells])
+    except ValueError as error:
+        raise InputError(f"{path}: is not a tick log: {error}") from None
 
 
 def plot_run(directory: Path, target: Path) -> None:
@@ -125,8 +132,7 @@ def _path(axis: Axes, ticks: Ticks) -> None:
         color="C0",
         alpha=0.6,
     )
-    if len(x):
-        axis.plot(x[0], y[0], "o", color="C2", label="start")
+    axis.plot(x[:1], y[:1], "o", color="C2", label="start")
     if which == "true":
         axis.plot(0.0, 0.0, "+", color="C3", markersize=14, markeredgewidth=2, label="target")
     axis.set(title=f"path ({which})", xlabel="x [m]", ylabel="y [m]")

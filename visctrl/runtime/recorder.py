@@ -33,14 +33,16 @@ _MS = 1000.0
 _BACKLOG = 10_000
 
 _CORE = (
-    *("tick", "t [s]", "stage", "phase", "dt [s]", "frame", "stamp [s]"),
-    *("features", "perception", "estimate", "event"),
+    *("tick", "t [s]", "stage", "phase", "dt [s]", "sequence", "stamp [s]"),
+    *("features", "views_health", "estimate_health", "event"),
     *("x_true [m]", "y_true [m]", "phi_true [rad]"),
     *("x_odometry [m]", "y_odometry [m]", "phi_odometry [rad]"),
     *("v_odometry [m/s]", "omega_odometry [rad/s]"),
     *("v_wanted [m/s]", "omega_wanted [rad/s]", "v_sent [m/s]", "omega_sent [rad/s]"),
     "battery [V]",
 )
+#: Columns of words; all others hold numbers.
+WORDS = frozenset({"stage", "phase", "views_health", "estimate_health", "event", "blame"})
 #: Columns that differ between two runs of one seed, after all others.
 TIMING = ("lateness [ms]", "missed", "blame", *(f"{name} [ms]" for name in STAGES[:-1]))
 
