@@ -51,6 +51,7 @@ class Situation(NamedTuple):
     forward: float
     lateral_sd: float
     phi_1: float
+    phi_1_sd: float
     scale: float
     heading: float
     determinant: float
@@ -64,13 +65,15 @@ class Situation(NamedTuple):
         The law moves the axle's centre, so an offset camera's target is replaced by that of
         the axle: turning on the spot then keeps the position reached.
         """
-        T = estimate.elements
+        # Dividing by T121 hides its sign; where the estimate knows it, it is put back.
+        T = estimate.elements * math.copysign(1.0, estimate.scale_m)
+        scale = abs(estimate.scale_m)
         xi_1, xi_2 = float(T[T112] + T[T121]), float(T[T212] + T[T221])
         s, c = math.sin(estimate.phi_1), math.cos(estimate.phi_1)
         heading = estimate.heading
         right, forward = c * xi_2 + s * xi_1, c * xi_1 - s * xi_2
         if offset != 0.0:
-            lever = offset / estimate.scale_m
+            lever = offset / scale
             right -= lever * math.sin(heading)
             forward += lever * (1.0 - math.cos(heading))
             xi_1, xi_2 = c * forward + s * right, c * right - s * forward
@@ -80,9 +83,10 @@ class Situation(NamedTuple):
             forward,
             float(estimate.target_sd[0]),
             estimate.phi_1,
-            estimate.scale_m,
+            estimate.phi_1_sd,
+            scale,
             heading,
-            estimate.determinant,
+            estimate.determinant * math.copysign(1.0, estimate.scale_m),
             float(T[T122] / T[T112]) if T[T112] != 0.0 else 0.0,
             float(T[T222] - T[T211]),
         )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import statistics
+from collections import deque
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
@@ -24,7 +26,7 @@ from visctrl.estimation.estimates import TensorEstimate
 from visctrl.plugins import Context, Controller, Decision, Estimate, Health, Signal
 
 PUBLISHED = Gains(1.0, 2.0, 0.02, 0.02, 0.0, 0.04, 0.0, 0.1, 0.05, 0.3)
-PRACTICAL = Gains(1.0, 2.0, 0.02, 0.02, 0.04, 0.0, 0.02, 0.1, 0.05, 1.5)
+PRACTICAL = Gains(1.0, 2.0, 0.02, 0.02, 0.04, 0.0, 0.005, 0.1, 0.05, 1.5)
 
 #: Cruising speed of a base without limits (m/s), and its share of the limit of one that has.
 _IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
@@ -49,10 +51,12 @@ class TrifocalSmcOptions(Document):
         the forward one (so the robot stops turning as it arrives), and settles on angles.
     tau_s : duration of step 1; from the distance and the speed limit if left out.
     advance_m, advance_m_s : the straight leg that determines and scales the tensor.
+    lateral_power : the lateral reference is the forward one to this power; 1 as published, 3 by
+        ``practical`` where φ1 is known.
     finish : step 2 ends by ``threshold`` (position and heading within tolerance, standing) or
-        by ``time`` (after ``orientation_s``, 5/λω if left out).
+        by ``time`` (after ``orientation_s``, 6/λω if left out).
     tolerance_m, tolerance_deg : what counts as there, by the robot's own measurement.
-    steady_ticks : for how many ticks.
+    steady_ticks : over how many ticks at a standstill that is averaged.
     retreats : how often to back up and come again when the lateral error stays too large.
     whole_units : round to whole mm/s and deg/s, carrying the remainder.
     """
@@ -76,7 +80,7 @@ class TrifocalSmcOptions(Document):
     orientation_s: Positive | None = None
     tolerance_m: Positive = 0.01
     tolerance_deg: Positive = 0.3
-    steady_ticks: Annotated[int, Field(ge=1)] = 5
+    steady_ticks: Annotated[int, Field(ge=2)] = 8
     retreats: Annotated[int, Field(ge=0, le=10)] = 1
     retreat_m: Positive = 0.4
     whole_units: bool = True
@@ -107,8 +111,6 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         super().__init__(options, context)
         self._gains = options.gains()
         self._published = options.law == "published"
-        default_power = 1.0 if self._published else 3.0
-        self._power = options.lateral_power or default_power
         self._shaper = CommandShaper(context.limits, whole_units=options.whole_units)
         self._phase = "advance"
         self._last_t: float | None = None
@@ -172,21 +174,23 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
     def _begin_position(self, seen: Situation | None, scale_sd: float = math.inf) -> None:
         self._progress = 0.0
         self._waited = 0.0
-        self._steady = 0
-        self._offset = 0.0
+        self._recent: deque[tuple[float, float, float]] = deque(maxlen=self.options.steady_ticks)
         self._reference = CosineDescent(1.0)
         if seen is None:
-            self._from = (0.0, 0.0)
+            self._from, self._power = (0.0, 0.0), 1.0
             return
         self._phase = "position"
         self._from = (seen.right, seen.forward)
+        # Without φ1 nobody knows which output is the lateral one: both then fall alike.
+        alike = self._published or not math.isfinite(seen.phi_1_sd)
+        self._power = self.options.lateral_power or (1.0 if alike else 3.0)
         self._reference = self._descent(seen, scale_sd)
 
     def _descent(self, seen: Situation, scale_sd: float) -> CosineDescent:
         """Return the reference's time course: as given, or as fast as the limits allow."""
         speed = max(self._sent.v, 0.0)
         distance = max(seen.scale * math.hypot(seen.right, seen.forward), 1e-3)
-        if self.options.tau_s is not None:
+        if self.options.tau_s is not None and self._retreats == 0:
             if self._published:
                 return CosineDescent(self.options.tau_s)
             return CosineDescent.joining(self.options.tau_s, speed / distance)
@@ -252,17 +256,33 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         """Return whether the robot's own measurements say that it is there (or time is up)."""
         options = self.options
         if options.finish == "time":
-            duration = options.orientation_s or 5.0 / self._gains.lambda_omega
+            duration = options.orientation_s or 6.0 / self._gains.lambda_omega
             return self._waited >= duration
-        turned = abs(seen.heading) <= math.radians(options.tolerance_deg)
-        forward = abs(seen.forward) * seen.scale <= options.tolerance_m
         standing = abs(self._sent.v) <= _STANDING.v and abs(self._sent.omega) <= _STANDING.omega
-        self._steady = self._steady + 1 if turned and forward and standing else 0
-        if self._steady < options.steady_ticks:
+        if not standing:
+            self._recent.clear()
+        self._recent.append((seen.right * seen.scale, seen.forward * seen.scale, seen.heading))
+        if len(self._recent) < options.steady_ticks:
             return False
-        if abs(seen.right) * seen.scale <= options.tolerance_m:
+        columns = list(zip(*self._recent, strict=True))
+        right, forward, heading = (statistics.fmean(column) for column in columns)
+        tolerances = options.tolerance_m, math.radians(options.tolerance_deg)
+        if abs(forward) > tolerances[0] or abs(heading) > tolerances[1]:
+            self._waited = 0.0
+            return False
+        # Within tolerance it gets better still until the measurement shows no more error.
+        settled = all(
+            abs(mean) <= max(tolerance / 10.0, 2.0 * statistics.stdev(column) / len(column) ** 0.5)
+            for mean, column, tolerance in zip(
+                (forward, heading), columns[1:], tolerances, strict=True
+            )
+        )
+        if not settled and self._waited < _PATIENCE_S:
+            return False
+        if abs(right) <= options.tolerance_m:
             return True
-        if self._retreats < options.retreats:
+        certain = abs(right) > options.tolerance_m + 2.0 * seen.lateral_sd * seen.scale
+        if certain and self._retreats < options.retreats:
             self._retreats += 1
             self._phase = "retreat"
         return False
@@ -270,6 +290,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
     def _retreat(self, seen: Situation) -> Velocity:
         """Return the velocity straight back; step 1 begins again from there."""
         if seen.forward * seen.scale >= self.options.retreat_m:
+            self._sent = STANDSTILL
             self._begin_position(seen, 0.0)
             return STANDSTILL
         return Velocity(-self.options.advance_m_s, 0.0)

@@ -158,6 +158,7 @@ class ConstrainedFit(TensorMethod):
             tensor,
             covariance,
             phi_1=initial.phi,
+            phi_1_sd=math.sqrt(float(initial.covariance[0, 0])),
             scale_m=distance * float(tensor[T121]),
             scale_sd_m=distance_sd * abs(float(tensor[T121])),
             inliers=inliers,

@@ -43,13 +43,16 @@ class TensorEstimate(Estimate):
     elements : (8,) T111, T112, T121, T122, T211, T212, T221, T222 over T121.
     covariance : (8, 8) of the elements, first order.
     phi_1 : heading of the initial view in the target's frame (rad), as the law is to use it.
-    scale_m : metric value of T121, T_N (m).
+    phi_1_sd : its standard deviation (rad); infinite where it is a mere assumption.
+    scale_m : metric value of T121, T_N (m); negative where the robot is known to have turned
+        so far from the target's heading that T121 has changed its sign.
     scale_sd_m : its standard deviation (m); infinite while it is a mere guess.
     """
 
     elements: Array
     covariance: Array
     phi_1: float
+    phi_1_sd: float
     scale_m: float
     scale_sd_m: float
 
@@ -86,13 +89,13 @@ class TensorEstimate(Estimate):
     @property
     def bearing(self) -> float:
         """Bearing of the target from the current pose (rad, clockwise from forward)."""
-        right, forward = self.target
+        right, forward = self.target * np.sign(self.scale_m)
         return float(np.arctan2(right, forward))
 
     @property
     def distance_m(self) -> float:
         """Distance to the target's position (m)."""
-        return float(self.scale_m * np.hypot(*self.outputs))
+        return float(abs(self.scale_m) * np.hypot(*self.outputs))
 
     @property
     def heading(self) -> float:
@@ -105,7 +108,8 @@ class TensorEstimate(Estimate):
         right, forward = self.target
         sine = T[T111] + forward * s + T[T122] + right * c
         cosine = T[T121] - right * s - T[T112] + forward * c
-        return float(np.arctan2(sine, cosine))
+        sign = np.sign(self.scale_m)
+        return float(np.arctan2(sign * sine, sign * cosine))
 
     @property
     def determinant(self) -> float:

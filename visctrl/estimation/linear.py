@@ -48,7 +48,7 @@ class LinearFit(TensorMethod):
     def __init__(self, options: TensorOptions, context: Context) -> None:
         super().__init__(options, context)
         self._basis = UNCALIBRATED if options.method == "linear7" else CALIBRATED
-        self._phi_1: float | None = None
+        self._phi_1: tuple[float, float] | None = None
         self._reckoning = DeadReckoning(context.limits, context.camera_forward_m)
         self._scale = PathScale()
         self._driven = 0.0
@@ -73,9 +73,9 @@ class LinearFit(TensorMethod):
         for name, other in (("current", views.current), ("target", views.target)):
             if identical_views(views.initial, other, views.sigma):
                 return Measurement.none(Health.DEGENERATE, f"views identical: initial and {name}")
-        return self._solve(views, self._phi_1)
+        return self._solve(views, *self._phi_1)
 
-    def _solve(self, views: Views, phi_1: float) -> Measurement:
+    def _solve(self, views: Views, phi_1: float, phi_1_sd: float) -> Measurement:
         relation = trilinear(views.initial, views.current, views.target).within(self._basis)
         _, inliers = ransac(
             relation,
@@ -102,6 +102,7 @@ class LinearFit(TensorMethod):
             tensor,
             covariance,
             phi_1=phi_1,
+            phi_1_sd=phi_1_sd,
             scale_m=scale,
             scale_sd_m=scale_sd,
             inliers=int(inliers.sum()),
@@ -115,14 +116,15 @@ class LinearFit(TensorMethod):
             return fit.z, fit.covariance
         return z, linear_covariance(relation, z, sigma)
 
-    def _initial_heading(self, views: Views) -> float:
-        """Return φ1 from initial and target view, 0 where they do not tell or are not asked."""
+    def _initial_heading(self, views: Views) -> tuple[float, float]:
+        """Return φ1 and its sd (rad) from initial and target view, 0 where they do not tell."""
         if self.options.phi_1 != "estimated":
-            return 0.0
+            return 0.0, math.inf
         motion = ransac_planar_motion(
             views.initial, views.target, views.sigma, seed=self.context.seed
         )
-        return InitialView.of(motion).phi if math.isfinite(motion.phi_sd) else 0.0
+        known = math.isfinite(motion.phi_sd)
+        return (InitialView.of(motion).phi, motion.phi_sd) if known else (0.0, math.inf)
 
     def _follow(self, tensor: Array, covariance: Array, phi_1: float) -> tuple[float, float]:
         """Compare the paths seen and driven on the straight leg; return T121 in metres."""

@@ -69,11 +69,13 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
             return self._stale(measured.health, measured.reason)
         self._measurement = measured
         scale, scale_sd = self._scale(measured)
+        phi_1, phi_1_sd = self._phi_1(measured)
         self._last = TensorEstimate(
             health=Health.OK,
             elements=normalised(measured.tensor),
             covariance=normalised_covariance(measured.tensor, measured.covariance),
-            phi_1=self._phi_1(measured),
+            phi_1=phi_1,
+            phi_1_sd=phi_1_sd,
             scale_m=scale,
             scale_sd_m=scale_sd,
         )
@@ -111,10 +113,13 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
     def _stale(self, health: Health, reason: str) -> TensorEstimate:
         return replace(self._last, health=health, reason=reason)
 
-    def _phi_1(self, measured: Measurement) -> float:
+    def _phi_1(self, measured: Measurement) -> tuple[float, float]:
+        """Return the law's φ1 and its standard deviation (rad)."""
         if self.options.phi_1 == "given":
-            return math.radians(self.options.phi_1_deg)
-        return measured.phi_1 if self.options.phi_1 == "estimated" else 0.0
+            return math.radians(self.options.phi_1_deg), 0.0
+        if self.options.phi_1 == "zero":
+            return 0.0, math.inf
+        return measured.phi_1, measured.phi_1_sd
 
     def _scale(self, measured: Measurement) -> tuple[float, float]:
         """Return T121 in metres and its standard deviation."""
@@ -130,6 +135,7 @@ def _nothing(options: TensorOptions) -> TensorEstimate:
         elements=np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0]),
         covariance=np.eye(8),
         phi_1=0.0,
+        phi_1_sd=math.inf,
         scale_m=options.scale_m,
         scale_sd_m=math.inf,
     )

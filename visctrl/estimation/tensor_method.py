@@ -50,7 +50,7 @@ class Measurement:
     """One tick's tensor, in any scale.
 
     tensor, covariance : (8,), (8, 8).
-    phi_1 : heading of the initial view (rad).
+    phi_1, phi_1_sd : heading of the initial view and its standard deviation (rad).
     scale_m, scale_sd_m : metric value of the tensor's T121, nan and infinite if unknown.
     inliers : features that agree.
     spread : robust standard deviation of the residuals (rad).
@@ -61,6 +61,7 @@ class Measurement:
     tensor: Array
     covariance: Array
     phi_1: float = 0.0
+    phi_1_sd: float = math.inf
     scale_m: float = math.nan
     scale_sd_m: float = math.inf
     inliers: int = 0

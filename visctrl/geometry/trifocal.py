@@ -119,7 +119,7 @@ def sampson_jacobian(relation: Trilinear, tensor: Array) -> tuple[Array, Array]:
     slopes = relation.gradient @ tensor
     gradient = np.sqrt(np.maximum(np.sum(slopes * slopes, axis=0), 1e-24))
     residual = (relation.error @ tensor) / gradient
-    bend = np.einsum("vn,vnk->nk", slopes, relation.gradient)
+    bend = np.sum(slopes[..., None] * relation.gradient, axis=0)
     jacobian = (relation.error - (residual / gradient)[:, None] * bend) / gradient[:, None]
     return residual, jacobian
 

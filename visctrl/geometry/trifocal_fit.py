@@ -7,6 +7,7 @@ z = (cos φ2, sin φ2, t_x2, t_y2) up to scale, and its three degrees of freedom
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,8 @@ Mask = NDArray[np.bool_]
 _WIDE, _NARROW = 1.5, 4.0
 #: Longest step on the unit sphere.
 _LONGEST_STEP = 0.3
-_CONVERGED = 1e-9
+#: A step this short, in standard deviations of the result, ends the iteration.
+_CONVERGED = 0.01
 
 
 @dataclass(frozen=True)
@@ -74,11 +76,11 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
     for kernel in (_soft_l1, _geman_mcclure):
         for _ in range(iterations):
             residual, jacobian = sampson_jacobian(relation, z)
-            weights = kernel(residual / _spread(residual, sigma))
-            step = _step(jacobian, residual, weights, z)
+            spread = _spread(residual, sigma)
+            step, length = _step(jacobian, residual, kernel(residual / spread), z)
             z = z + step
             z /= np.linalg.norm(z)
-            if float(step @ step) < _CONVERGED**2:
+            if length < _CONVERGED * spread:
                 break
     residual, jacobian = sampson_jacobian(relation, z)
     spread = _spread(residual, sigma)
@@ -146,21 +148,22 @@ def _spread(residual: Array, sigma: float) -> float:
     return max(sigma, 1.4826 * float(np.median(np.abs(residual))))
 
 
-def _step(jacobian: Array, residual: Array, weights: Array, z: Array) -> Array:
-    """Return the Gauss–Newton step (k,) across z, bounded."""
+def _step(jacobian: Array, residual: Array, weights: Array, z: Array) -> tuple[Array, float]:
+    """Return the Gauss–Newton step (k,) across z, bounded, and its length in residuals (rad)."""
     weighted = weights[:, None] * jacobian
     H = weighted.T @ jacobian
-    # The residuals do not depend on |z|: the added term fixes it and changes nothing else.
-    size = float(np.trace(H)) + 1e-300
-    step = -np.linalg.solve(
-        H + size * np.outer(z, z) + 1e-12 * size * np.eye(len(z)), weighted.T @ residual
-    )
-    return np.asarray(step * min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300)))
+    step = np.asarray(-np.linalg.solve(_completed(H, z), weighted.T @ residual), dtype=np.float64)
+    step *= min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
+    return step, math.sqrt(max(float(step @ H @ step), 0.0))
+
+
+def _completed(information: Array, z: Array) -> Array:
+    """Return ``information`` made invertible along z, on which the residuals do not depend."""
+    size = float(np.trace(information)) + 1e-300
+    return np.asarray(information + size * (np.outer(z, z) + 1e-12 * np.eye(len(z))))
 
 
 def _tangent_inverse(information: Array, z: Array) -> Array:
     """Return the inverse of ``information`` across z (its null direction)."""
-    size = float(np.trace(information)) + 1e-300
-    inverse = np.linalg.inv(information + size * np.outer(z, z) + 1e-12 * size * np.eye(len(z)))
     across = np.eye(len(z)) - np.outer(z, z)
-    return np.asarray(across @ inverse @ across)
+    return np.asarray(across @ np.linalg.inv(_completed(information, z)) @ across)
