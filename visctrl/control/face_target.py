@@ -1,95 +1,95 @@
-"""Controller ``face-target``: turn on the spot until the robot heads at the target."""
+"""Controller ``face-target``: turn on the spot until the target lies straight ahead."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from hal.types import Velocity
+from hal.types import STANDSTILL, Velocity
 from robots.documents import Document
 from visctrl.control.shaping import CommandShaper
 from visctrl.estimation.estimates import PlanarMotionEstimate
 from visctrl.plugins import Context, Controller, Decision, Estimate, Health, Signal
 
-Positive = Annotated[float, Field(gt=0.0)]
-Angle = Annotated[float, Field(gt=0.0, lt=180.0)]
+Degrees = Annotated[float, Field(gt=0.0, le=180.0)]
+#: A robot told to turn slower than this (rad/s) counts as standing.
+_STANDING = math.radians(1.5)
 
 
 class FaceTargetOptions(Document):
     """Options of `FaceTarget`.
 
-    start_deg : a target whose bearing is smaller needs no turn.
-    end_deg : bearing under which a turn ends.
-    gain_s : turning rate per bearing (1/s).
-    omega_deg_s : fastest turn, within the base's own limit; features must stay trackable.
-    steady_ticks : for how many ticks in a row the bearing must be small.
+    start_deg : a target no further off the heading than this is good enough from the start.
+    stop_deg : how far off it may be in the end.
+    gain : turning rate over bearing (1/s).
+    omega_deg_s : fastest turn, so that features can be followed.
+    steady_ticks : for how many ticks the end must hold.
     """
 
-    start_deg: Angle = 12.0
-    end_deg: Angle = 2.0
-    gain_s: Positive = 1.0
-    omega_deg_s: Positive = 30.0
-    steady_ticks: Annotated[int, Field(ge=1, le=100)] = 3
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.end_deg > self.start_deg:
-            raise ValueError("end_deg must not exceed start_deg, or no turn could end")
-        return self
+    start_deg: Degrees = 12.0
+    stop_deg: Degrees = 1.5
+    gain: Annotated[float, Field(gt=0.0)] = 1.2
+    omega_deg_s: Annotated[float, Field(gt=0.0)] = 25.0
+    steady_ticks: Annotated[int, Field(ge=1)] = 3
 
 
 class FaceTarget(Controller[FaceTargetOptions, PlanarMotionEstimate]):
-    """Proportional turn towards the target, the shorter way round.
+    """Turns towards the target the shorter way round, and keeps to that way.
 
-    Where the baseline is too short to show a direction the robot stands at the target's
-    position already, and there is nothing to turn to.
+    Near 180° noise would make the shorter way change from tick to tick; once the robot turns,
+    the bearing is unwrapped, so it goes on. Where target and current position coincide there is
+    nothing to face: it finishes at once.
     """
 
     Options: ClassVar[type[FaceTargetOptions]] = FaceTargetOptions
     accepts: ClassVar[type[Estimate]] = PlanarMotionEstimate
-    signals: ClassVar[tuple[Signal, ...]] = (Signal("bearing", "rad"),)
+    signals: ClassVar[tuple[Signal, ...]] = (Signal("unwrapped_bearing", "rad"),)
 
     def __init__(self, options: FaceTargetOptions, context: Context) -> None:
         super().__init__(options, context)
         self._shaper = CommandShaper(context.limits, whole_units=True)
-        self._turning = False
-        self._steady = 0
-        self._last_t: float | None = None
         self._bearing: float | None = None
+        self._last_t: float | None = None
+        self._sent = STANDSTILL
+        self._steady = 0
 
     def update(self, estimate: PlanarMotionEstimate, t: float) -> Decision:
-        """Return the turning rate for the target's bearing at ``t`` seconds since the start."""
+        """Return the turning rate for an estimate at ``t`` seconds since the start."""
         dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
         self._last_t = t
-        self._bearing = None
-        if estimate.health is Health.LOST:
-            return Decision(self._shaper.stop(), "hold")
-        undetermined = not math.isfinite(estimate.bearing_sd)
-        if estimate.health is Health.DEGENERATE and (undetermined or not self._turning):
-            return Decision(self._shaper.stop(), "at the target", finished=not self._turning)
-        self._bearing = estimate.bearing
-        threshold = self.options.end_deg if self._turning else self.options.start_deg
-        if abs(estimate.bearing) < math.radians(threshold):
-            return self._facing()
-        self._turning = True
-        self._steady = 0
-        return Decision(self._turn(estimate.bearing, dt), "turn")
+        if estimate.health is not Health.OK:
+            self._sent = self._shaper.stop()
+            # Degenerate with a known rotation: the robot is where the target was taken.
+            nowhere = estimate.health is Health.DEGENERATE and self._bearing is None
+            at_target = nowhere and math.isfinite(estimate.motion.phi_sd)
+            return Decision(STANDSTILL, "face target", finished=at_target)
+        first = self._bearing is None
+        bearing = self._unwrapped(estimate.bearing, dt)
+        options = self.options
+        if first and abs(bearing) <= math.radians(options.start_deg):
+            return Decision(STANDSTILL, "face target", finished=True)
+        # Bearings grow clockwise, turning rates counter-clockwise.
+        top = math.radians(options.omega_deg_s)
+        omega = max(-top, min(top, -options.gain * bearing))
+        aligned = abs(bearing) <= math.radians(options.stop_deg)
+        standing = abs(self._sent.omega) <= _STANDING
+        self._steady = self._steady + 1 if aligned and standing else 0
+        if self._steady >= options.steady_ticks:
+            return Decision(self._shaper.stop(), "face target", finished=True)
+        self._sent = self._shaper.command(Velocity(0.0, omega), dt)
+        return Decision(self._sent, "face target")
 
     def values(self) -> Mapping[str, float]:
-        """Return the target's bearing (clockwise from forward)."""
-        return {} if self._bearing is None else {"bearing": self._bearing}
+        """Return the bearing that is being closed."""
+        return {} if self._bearing is None else {"unwrapped_bearing": self._bearing}
 
-    def _facing(self) -> Decision:
-        """Stand, and finish once the bearing has stayed small; at once if there was no turn."""
-        self._steady += 1
-        done = not self._turning or self._steady >= self.options.steady_ticks
-        return Decision(self._shaper.stop(), "facing", finished=done)
-
-    def _turn(self, bearing: float, dt: float) -> Velocity:
-        # A bearing is clockwise, a turning rate counter-clockwise.
-        bound = math.radians(self.options.omega_deg_s)
-        omega = max(-bound, min(bound, -self.options.gain_s * bearing))
-        return self._shaper.command(Velocity(0.0, omega), dt)
+    def _unwrapped(self, bearing: float, dt: float) -> float:
+        """Return ``bearing`` plus the whole turns that bring it nearest to the expected one."""
+        if self._bearing is not None:
+            expected = self._bearing + self._sent.omega * dt
+            bearing += 2.0 * math.pi * round((expected - bearing) / (2.0 * math.pi))
+        self._bearing = bearing
+        return bearing
