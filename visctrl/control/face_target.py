@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hal.types import STANDSTILL, Velocity
 from robots.documents import Document
@@ -14,7 +14,8 @@ from visctrl.control.shaping import CommandShaper
 from visctrl.estimation.estimates import PlanarMotionEstimate
 from visctrl.plugins import Context, Controller, Decision, Estimate, Health, Signal
 
-Degrees = Annotated[float, Field(gt=0.0, le=180.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+Angle = Annotated[float, Field(gt=0.0, lt=180.0)]
 #: A robot told to turn slower than this (rad/s) counts as standing.
 _STANDING = math.radians(1.5)
 
@@ -22,18 +23,24 @@ _STANDING = math.radians(1.5)
 class FaceTargetOptions(Document):
     """Options of `FaceTarget`.
 
-    start_deg : a target no further off the heading than this is good enough from the start.
-    stop_deg : how far off it may be in the end.
-    gain : turning rate over bearing (1/s).
-    omega_deg_s : fastest turn, so that features can be followed.
-    steady_ticks : for how many ticks the end must hold.
+    start_deg : a target whose bearing is smaller needs no turn.
+    end_deg : bearing under which a turn ends.
+    gain_s : turning rate per bearing (1/s).
+    omega_deg_s : fastest turn, within the base's own limit; features must stay trackable.
+    steady_ticks : for how many ticks in a row the bearing must be small, the robot standing.
     """
 
-    start_deg: Degrees = 12.0
-    stop_deg: Degrees = 1.5
-    gain: Annotated[float, Field(gt=0.0)] = 1.2
-    omega_deg_s: Annotated[float, Field(gt=0.0)] = 25.0
-    steady_ticks: Annotated[int, Field(ge=1)] = 3
+    start_deg: Angle = 12.0
+    end_deg: Angle = 1.5
+    gain_s: Positive = 1.2
+    omega_deg_s: Positive = 30.0
+    steady_ticks: Annotated[int, Field(ge=1, le=100)] = 3
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.end_deg > self.start_deg:
+            raise ValueError("end_deg must not exceed start_deg, or no turn could end")
+        return self
 
 
 class FaceTarget(Controller[FaceTargetOptions, PlanarMotionEstimate]):
@@ -57,34 +64,36 @@ class FaceTarget(Controller[FaceTargetOptions, PlanarMotionEstimate]):
         self._steady = 0
 
     def update(self, estimate: PlanarMotionEstimate, t: float) -> Decision:
-        """Return the turning rate for an estimate at ``t`` seconds since the start."""
+        """Return the turning rate for the target's bearing at ``t`` seconds since the start."""
         dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
         self._last_t = t
         if estimate.health is not Health.OK:
-            self._sent = self._shaper.stop()
-            # Degenerate with a known rotation: the robot is where the target was taken.
-            nowhere = estimate.health is Health.DEGENERATE and self._bearing is None
-            at_target = nowhere and math.isfinite(estimate.motion.phi_sd)
-            return Decision(STANDSTILL, "face target", finished=at_target)
-        first = self._bearing is None
+            return self._without_bearing(estimate)
+        turning = self._bearing is not None
         bearing = self._unwrapped(estimate.bearing, dt)
-        options = self.options
-        if first and abs(bearing) <= math.radians(options.start_deg):
-            return Decision(STANDSTILL, "face target", finished=True)
-        # Bearings grow clockwise, turning rates counter-clockwise.
-        top = math.radians(options.omega_deg_s)
-        omega = max(-top, min(top, -options.gain * bearing))
-        aligned = abs(bearing) <= math.radians(options.stop_deg)
+        if not turning and abs(bearing) <= math.radians(self.options.start_deg):
+            return Decision(STANDSTILL, "facing", finished=True)
+        aligned = abs(bearing) <= math.radians(self.options.end_deg)
         standing = abs(self._sent.omega) <= _STANDING
         self._steady = self._steady + 1 if aligned and standing else 0
-        if self._steady >= options.steady_ticks:
-            return Decision(self._shaper.stop(), "face target", finished=True)
+        if self._steady >= self.options.steady_ticks:
+            return Decision(self._shaper.stop(), "facing", finished=True)
+        # A bearing is clockwise, a turning rate counter-clockwise.
+        bound = math.radians(self.options.omega_deg_s)
+        omega = max(-bound, min(bound, -self.options.gain_s * bearing))
         self._sent = self._shaper.command(Velocity(0.0, omega), dt)
-        return Decision(self._sent, "face target")
+        return Decision(self._sent, "turn")
 
     def values(self) -> Mapping[str, float]:
         """Return the bearing that is being closed."""
         return {} if self._bearing is None else {"unwrapped_bearing": self._bearing}
+
+    def _without_bearing(self, estimate: PlanarMotionEstimate) -> Decision:
+        """Stand; finish where the robot has not turned and the views differ by a turn at most."""
+        self._sent = self._shaper.stop()
+        if estimate.health is Health.LOST:
+            return Decision(STANDSTILL, "hold")
+        return Decision(STANDSTILL, "at the target", finished=self._bearing is None)
 
     def _unwrapped(self, bearing: float, dt: float) -> float:
         """Return ``bearing`` plus the whole turns that bring it nearest to the expected one."""
