@@ -100,6 +100,11 @@ class Actuation:
             )
         return self._set_point
 
+    @property
+    def steady(self) -> bool:
+        """Whether the set-point will stay as it is until the next command."""
+        return not self._pending and self._set_point == self._wanted
+
     def halt(self) -> None:
         """Forget every command and stand still at once (the world is being put back)."""
         self._pending.clear()

@@ -76,15 +76,16 @@ class CentralCamera(Document):
         valid : (...) bool array
             The ray is in the field of view and falls into the image.
         """
-        unit = _normalised(rays)
-        z = unit[..., 2]
-        depth = z + self.xi
-        seen = self._in_field(z)
-        scale = 1.0 / np.where(seen, depth, np.nan)
-        x, y = unit[..., 0] * scale, unit[..., 1] * scale
-        pixels = np.stack([self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy], axis=-1)
-        inside = self.contains(pixels)
-        return pixels, seen & inside
+        rays = np.asarray(rays, dtype=np.float64)
+        x, y, z = rays[..., 0], rays[..., 1], rays[..., 2]
+        norm = np.sqrt(x * x + y * y + z * z)
+        seen = self._in_field(z / norm)
+        scale = 1.0 / np.where(seen, z + self.xi * norm, np.nan)
+        x, y = x * scale, y * scale
+        pixels = np.empty((*x.shape, 2))
+        pixels[..., 0] = self.fx * x + self.skew * y + self.cx
+        pixels[..., 1] = self.fy * y + self.cy
+        return pixels, seen & self.contains(pixels)
 
     def unproject(self, pixels: ArrayLike) -> tuple[Array, Mask]:
         """Return the unit rays (..., 3) in camera axes of pixels (..., 2), and their validity.
@@ -98,7 +99,10 @@ class CentralCamera(Document):
         r2 = x * x + y * y
         root = 1.0 + (1.0 - self.xi**2) * r2
         factor = (self.xi + np.sqrt(np.where(root >= 0.0, root, np.nan))) / (1.0 + r2)
-        rays = np.stack([factor * x, factor * y, factor - self.xi], axis=-1)
+        rays = np.empty((*x.shape, 3))
+        rays[..., 0] = factor * x
+        rays[..., 1] = factor * y
+        rays[..., 2] = factor - self.xi
         return rays, self._in_field(rays[..., 2]) & self.contains(pixels)
 
     def jacobian(self, rays: ArrayLike) -> Array:

@@ -25,8 +25,8 @@ from robots.documents import Document
 from robots.model import Mount
 from robots.unicycle import wrap_angle
 
-#: Longest step of the motion while delays and ramps shape it (s).
-_STEP_S = 0.01
+#: Longest step of the motion while delays and ramps shape it, and one that is none (s).
+_STEP_S, _INSTANT_S = 0.01, 1e-12
 _EXACT = ActuationOptions(quantise=False)
 
 Metres = Annotated[float, Field(gt=0.0)]
@@ -262,18 +262,19 @@ class _Motion:
         # The axle's centre is what moves on the arc; the camera sits ``offset`` ahead of it.
         s, c = math.sin(start.phi), math.cos(start.phi)
         self._axle = (start.x + offset * s, start.y - offset * c, start.phi)
-        self._steady = limits is None and options.delay_s == 0.0
+        self._instant = limits is None and options.delay_s == 0.0
 
     def advance(self, dt: float) -> None:
         """Move on by ``dt`` (s) along exact arcs."""
-        steps = 1 if self._steady else max(1, math.ceil(dt / _STEP_S - 1e-9))
-        step = dt / steps
-        for k in range(steps):
-            self.set_point = self.actuation.velocity_at(self._time + k * step, step)
+        end = self._time + dt
+        while (left := end - self._time) > _INSTANT_S:
+            step = left if self._instant or self.actuation.steady else min(left, _STEP_S)
+            self.set_point = self.actuation.velocity_at(self._time, step)
             executed = self._options.executed(self.set_point)
             self._axle = along_arc(self._axle, executed, step)
             self._wheels = along_arc(self._wheels, self.set_point, step)
-        self._time += dt
+            self._time += step
+        self._time = end
 
     def camera_pose(self) -> Pose:
         x, y, phi = self._axle

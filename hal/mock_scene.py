@@ -86,9 +86,7 @@ def scatter(
 def seen_from(points: Array, pose: Pose) -> Array:
     """Return points (N, 3) of the target's frame in the axes of a camera at ``pose``."""
     s, c = math.sin(pose.phi), math.cos(pose.phi)
-    right = np.array([c, s, 0.0])
-    forward = np.array([-s, c, 0.0])
-    axes = np.stack([right, forward, np.array([0.0, 0.0, 1.0])], axis=1)
+    axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray((points - (pose.x, pose.y, 0.0)) @ axes, dtype=np.float64)
 
 

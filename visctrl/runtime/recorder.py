@@ -1,8 +1,4 @@
-"""The run directory: what a run leaves behind, written while it goes on.
-
-A thread does the writing, so that a slow disk never delays a tick; what is written is flushed
-as soon as there is nothing more to write, so that a crash leaves a readable log.
-"""
+"""The run directory: what a run leaves behind, written while it goes on."""
 
 from __future__ import annotations
 
@@ -13,7 +9,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import Any
 
 from hal.types import Pose
@@ -28,9 +24,9 @@ VIDEO, FAULT = "video.mp4", "fault.txt"
 FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, PLOTS, VIDEO, FAULT)
 
 _MS = 1000.0
-#: Ticks that may wait to be written before a lock-stepped run waits for the disk and one on
-#: the wall clock gives ticks up.
+#: Ticks that may wait to be written; with more, they are given up.
 _BACKLOG = 10_000
+_FLUSH_S = 0.5
 
 _CORE = (
     *("tick", "t [s]", "stage", "phase", "dt [s]", "sequence", "stamp [s]"),
@@ -91,7 +87,10 @@ class RunDirectory:
 class Recorder(Observer):
     """Writes ``ticks.csv`` and ``trajectory.tum``.
 
-    The trajectory is the true pose where it is known, else the odometry, in REP-103 axes.
+    The trajectory is the true pose where it is known, else the odometry, in REP-103 axes. On
+    the wall clock a thread does the writing, so that a slow disk never delays a tick; where
+    time stands still during a tick, the tick does it. What is written is flushed every second,
+    so that a crash leaves a readable log.
 
     Parameters
     ----------
@@ -100,62 +99,69 @@ class Recorder(Observer):
     plugins : sequence of (name, Plugin)
         Whose signals become columns.
     lockstep : bool
-        Time stands still during a tick, so that a tick may wait for the disk.
+        Time stands still during a tick.
     """
 
     def __init__(
         self, directory: Path, plugins: Sequence[tuple[str, Plugin[Any]]], *, lockstep: bool
     ) -> None:
         self._signals = _signal_columns(plugins)
-        self._lockstep = lockstep
-        self._queue: SimpleQueue[TickRecord | None] = SimpleQueue()
         self._ticks = (directory / TICKS).open("w", encoding="utf-8", newline="")
         self._trajectory = (directory / TRAJECTORY).open("w", encoding="utf-8")
         self._rows = csv.writer(self._ticks, lineterminator="\n")
         self._rows.writerow((*_CORE, *self._signals.values(), *TIMING))
-        self.problem = ""
+        self._flushed_at = -math.inf
         self._given_up = 0
-        self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
-        self._thread.start()
+        #: What went wrong, empty if nothing.
+        self.problem = ""
+        self._queue: SimpleQueue[TickRecord | None] = SimpleQueue()
+        self._thread: threading.Thread | None = None
+        if not lockstep:
+            self._thread = threading.Thread(target=self._write_queued, name="recorder", daemon=True)
+            self._thread.start()
 
     def on_tick(self, record: TickRecord) -> None:
-        """Queue a tick for writing."""
-        if self._queue.qsize() > _BACKLOG and self._thread.is_alive():
-            if not self._lockstep:
-                self._given_up += 1
-                return
-            while self._queue.qsize() > _BACKLOG // 2 and self._thread.is_alive():
-                time.sleep(0.001)
-        if not self.problem:
+        """Write a tick, or queue it for writing."""
+        if self.problem:
+            return
+        if self._thread is None:
+            self._write_safely(record)
+        elif self._queue.qsize() < _BACKLOG:
             self._queue.put(record)
+        else:
+            self._given_up += 1
 
     def close(self) -> None:
         """Write what is left and close the files."""
-        self._queue.put(None)
-        self._thread.join()
-        self._ticks.close()
-        self._trajectory.close()
+        if self._thread is not None:
+            self._queue.put(None)
+            self._thread.join()
+        try:
+            self._ticks.close()
+            self._trajectory.close()
+        except OSError as error:
+            self._fail(error)
         if self._given_up and not self.problem:
             self.problem = f"{self._given_up} ticks were not recorded: the disk was too slow"
 
-    def _write_all(self) -> None:
+    def _write_queued(self) -> None:
+        while (record := self._queue.get()) is not None:
+            if not self.problem:
+                self._write_safely(record)
+
+    def _write_safely(self, record: TickRecord) -> None:
         try:
-            while (record := self._next()) is not None:
-                self._write(record)
-            self._flush()
+            self._write(record)
+            now = time.monotonic()
+            if now - self._flushed_at > _FLUSH_S:
+                self._ticks.flush()
+                self._trajectory.flush()
+                self._flushed_at = now
         except OSError as error:
-            self.problem = f"recording ended early: {error.strerror or error}"
+            self._fail(error)
 
-    def _next(self) -> TickRecord | None:
-        try:
-            return self._queue.get_nowait()
-        except Empty:
-            self._flush()
-            return self._queue.get()
-
-    def _flush(self) -> None:
-        self._ticks.flush()
-        self._trajectory.flush()
+    def _fail(self, error: OSError) -> None:
+        self.problem = f"recording ended early: {error.strerror or error}"
 
     def _write(self, record: TickRecord) -> None:
         signals = {
