@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 CAMERA_HEIGHT_M = 0.8
 # Textures are wider than any wall: where they repeated, wrong matches would be right ones.
 _TEXELS, _WIDTH_M = 1024, 8.2
-_LEVELS = 9
+_LEVELS = 7
 
 
 @dataclass(frozen=True)
@@ -37,22 +37,29 @@ class Rectangle:
 
 
 @cache
+def _spectrum() -> NDArray[np.float32]:
+    """Return the amplitudes of 1/f noise with periods from 2 cm to 80 cm.
+
+    Finer detail would only alias.
+    """
+    f = np.hypot(np.fft.fftfreq(_TEXELS)[:, None], np.fft.rfftfreq(_TEXELS)[None]) * _TEXELS
+    amplitude = np.maximum(f, 1.0) ** -1.1 * (f > 10) * np.exp(-((f / 400) ** 2))
+    return np.asarray(amplitude, dtype=np.float32)
+
+
+@cache
 def texture(seed: int) -> list[NDArray[np.float32]]:
     """Return the mip levels (half an octave apart in blur) of 1/f noise, 8.2 m wide."""
-    rng = np.random.default_rng(seed)
-    spectrum = np.fft.fft2(rng.normal(size=(_TEXELS, _TEXELS)))
-    f = np.hypot(np.fft.fftfreq(_TEXELS)[:, None], np.fft.fftfreq(_TEXELS)[None]) * _TEXELS
-    f[0, 0] = 1.0
-    # Periods from 2 cm, below which the texture would only alias, to 80 cm.
-    base = np.fft.ifft2(spectrum * f**-1.1 * (f > 10) * np.exp(-((f / 400) ** 2))).real
-    base = np.sign(base) * np.abs(base / base.std()) ** 0.8
-    edge = 32
-    padded = np.pad(128 + 48 * base, edge, mode="wrap").astype(np.float32)
-    levels: list[NDArray[np.float32]] = []
-    for level in range(_LEVELS):
-        blurred = cv2.GaussianBlur(padded, (0, 0), 0.5 * 2 ** (level / 2))
-        levels.append(np.clip(blurred[edge:-edge, edge:-edge], 0, 255).astype(np.float32))
-    return levels
+    white = np.random.default_rng(seed).standard_normal((_TEXELS, _TEXELS), dtype=np.float32)
+    base = np.fft.irfft2(np.fft.rfft2(white) * _spectrum())
+    base = base / base.std()
+    sharp = (128 + 48 * base).astype(np.float32)
+    levels = [
+        # The largest blur is 4 texels: a kernel of 25 holds three deviations of it.
+        cv2.GaussianBlur(sharp, (25, 25) if level > 3 else (11, 11), 0.5 * 2 ** (level / 2))
+        for level in range(_LEVELS)
+    ]
+    return [np.clip(level, 0, 255).astype(np.float32) for level in levels]
 
 
 def wall(
@@ -172,24 +179,23 @@ class Room:
 
 
 def _sample(levels: list[NDArray[np.float32]], texels: Array, level: Array) -> NDArray[np.float32]:
-    """Sample a mip pyramid trilinearly; the texture tiles."""
+    """Sample a mip pyramid trilinearly."""
     low = np.floor(level).astype(int)
     grey = np.zeros(len(level), dtype=np.float32)
     for number in np.unique(low):
-        mine = low == number
-        u, v = (np.mod(texels[mine], _TEXELS - 1).astype(np.float32)).T
+        mine = np.flatnonzero(low == number)
+        u, v = texels[mine].T.astype(np.float32)
         share = (level[mine] - number).astype(np.float32)
-        grey[mine] = (1 - share) * _bilinear(levels[number], u, v)
-        grey[mine] += share * _bilinear(levels[number + 1], u, v)
+        grey[mine] = (1 - share) * _bilinear(levels[number], u, v)[: len(mine)]
+        grey[mine] += share * _bilinear(levels[number + 1], u, v)[: len(mine)]
     return grey
 
 
 def _bilinear(
     image: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    i, j = v.astype(int), u.astype(int)
-    b, a = v - i, u - j
-    i1, j1 = np.minimum(i + 1, _TEXELS - 1), np.minimum(j + 1, _TEXELS - 1)
-    top = image[i, j] * (1 - a) + image[i, j1] * a
-    bottom = image[i1, j] * (1 - a) + image[i1, j1] * a
-    return np.asarray(top * (1 - b) + bottom * b, dtype=np.float32)
+    # OpenCV wants pictures of less than 32767 rows, so the samples are folded.
+    rows = -(-len(u) // 512)
+    u, v = (np.resize(x, (rows, 512)) for x in (u, v))
+    grey = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    return np.asarray(grey, dtype=np.float32).ravel()

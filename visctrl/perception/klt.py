@@ -104,7 +104,6 @@ class Klt(NaturalPerception[KltOptions]):
         self._tracks = self._chosen(_Tracks(every, landmarks.initial.points))
         self._at_start = len(self._tracks)
         self._pose = landmarks.map.initial_pose
-        self._step = np.zeros(3)
         self._sigma = _SIGMA_PX / canvas.scale
         self._turn = 0
         self._values = {}
@@ -113,7 +112,7 @@ class Klt(NaturalPerception[KltOptions]):
         assert self._search is not None
         values = prepared(picture.image)
         tracks = self._followed(picture, values)
-        fit = self._fit(tracks, self._pose + self._step)
+        fit = self._fit(tracks, self._pose)
         found = self._search.take(picture)
         recovered = 0
         if found is not None and not self._trusted(fit):
@@ -124,7 +123,7 @@ class Klt(NaturalPerception[KltOptions]):
             recovered = len(tracks)
         trusted = self._trusted(fit)
         if trusted:
-            self._pose, self._step = fit.pose, fit.pose - self._pose
+            self._pose = fit.pose
             self._learn_sigma(fit)
             tracks = tracks.subset(fit.inliers)
             sought = self._recovered(values, tracks)

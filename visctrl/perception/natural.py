@@ -61,7 +61,7 @@ class NaturalPerception(Perception[NaturalT]):
         if not frames:
             raise InputError("no target image was given")
         images = [checked(frame, self.context.camera, "the target image") for frame in frames]
-        picture = draw(averaged(images), self.canvas)
+        picture = draw(averaged(images, self.canvas), self.canvas)
         if picture.blank:
             raise InputError(f"the target image {picture.complaint}")
         described = self._describe(picture.image)

@@ -96,28 +96,27 @@ def checked(frame: Frame, camera: CentralCamera, what: str) -> Grey:
     return image
 
 
-def averaged(images: Sequence[Grey]) -> Grey:
-    """Return the mean of several images of one pose.
+def averaged(images: Sequence[Grey], canvas: Canvas) -> Grey:
+    """Return the mean of several camera images of one pose.
 
     Raises
     ------
     InputError
-        One of them shows something else: the camera moved.
+        One of them shows something else than the first: the camera moved.
     """
-    mean = np.mean(np.stack(images), axis=0)
-    for number, image in enumerate(images):
-        if _correlation(image, mean) < _SAME_POSE_CORRELATION:
+    first = draw(images[0], canvas)
+    for number, image in enumerate(images[1:], start=2):
+        if _correlation(first, draw(image, canvas), canvas) < _SAME_POSE_CORRELATION:
             raise InputError(
-                f"target image {number + 1} of {len(images)} differs from the others: take them "
-                "all from one pose, with nothing moving"
+                f"target image {number} of {len(images)} differs from the first: take them all "
+                "from one pose, with nothing moving"
             )
-    return np.asarray(np.rint(mean), dtype=np.uint8)
+    return np.asarray(np.rint(np.mean(np.stack(images), axis=0)), dtype=np.uint8)
 
 
-def _correlation(a: Grey, b: NDArray[np.float64]) -> float:
-    """Return the correlation of two images (1 where one has no contrast at all)."""
-    size = (a.shape[1] // 4, a.shape[0] // 4)
-    x, y = (cv2.resize(i.astype(np.float32), size, interpolation=cv2.INTER_AREA) for i in (a, b))
-    x, y = x - x.mean(), y - y.mean()
-    norm = float(np.sqrt((x**2).sum() * (y**2).sum()))
-    return float((x * y).sum()) / norm if norm > 0.0 else 1.0
+def _correlation(a: Picture, b: Picture, canvas: Canvas) -> float:
+    """Return the correlation of two pictures within the field of view; 0 without contrast."""
+    field = canvas.coarse_field > 0
+    x, y = (p.coarse[field] - p.coarse[field].mean() for p in (a, b))
+    norm = float(np.sqrt((x @ x) * (y @ y)))
+    return float(x @ y) / norm if norm > 0.0 else 0.0

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from box_room import texture
+
+from visctrl.perception.patches import Patches, prepared
+
+
+def picture():
+    return np.rint(texture(3)[2][:400, :500]).astype(np.uint8)
+
+
+def warped(image, matrix, offset, centre):
+    """Return the image in which `centre + d` of the given one appears at M d + centre + offset."""
+    M = np.asarray(matrix, float)
+    translation = np.asarray(centre) + offset - M @ centre
+    affine = np.concatenate([M, translation[:, None]], axis=1)
+    size = (image.shape[1], image.shape[0])
+    return cv2.warpAffine(image, affine, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+
+
+def centres():
+    rng = np.random.default_rng(5)
+    return rng.uniform([150, 120], [350, 280], (40, 2))
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.eye(2), np.eye(2) * 0.8, np.eye(2) * 1.25, [[1.1, 0.15], [-0.1, 0.95]]],
+    ids=["same", "farther", "nearer", "slanted"],
+)
+def test_affine_warps_are_found_to_a_twentieth_of_a_pixel(matrix):
+    image, middle = picture(), np.array([250.0, 200.0])
+    offset = np.array([1.3, -0.7])
+    other = warped(image, matrix, offset, middle)
+    points = centres()
+    truth = (points - middle) @ np.asarray(matrix).T + middle + offset
+    start = truth + np.random.default_rng(1).uniform(-1.2, 1.2, points.shape)
+    found = Patches(image, points).align(
+        prepared(other), np.arange(len(points)), start, np.tile(np.eye(2), (len(points), 1, 1)), 20
+    )
+    error = np.linalg.norm(found.points - truth, axis=1)
+    good = found.score > 0.8
+    assert good.mean() > 0.9
+    assert np.median(error[good]) < 0.05
+    assert np.percentile(error[good], 95) < 0.2
+    np.testing.assert_allclose(np.median(found.warps[good], axis=0), matrix, atol=0.03)
+
+
+def test_gain_and_offset_make_no_difference():
+    image = picture()
+    points = centres()
+    dim = np.clip(0.6 * image.astype(float) + 20, 0, 255).astype(np.uint8)
+    start = points + np.array([0.8, -0.6])
+    warps = np.tile(np.eye(2), (len(points), 1, 1))
+    found = Patches(image, points).align(prepared(dim), np.arange(len(points)), start, warps, 12)
+    assert np.abs(found.points - points).max() < 0.05
+    assert found.score.min() > 0.98
+
+
+def test_something_else_does_not_score():
+    points = centres()
+    other = np.rint(texture(4)[2][:400, :500]).astype(np.uint8)
+    warps = np.tile(np.eye(2), (len(points), 1, 1))
+    found = Patches(picture(), points).align(
+        prepared(other), np.arange(len(points)), points, warps, 10
+    )
+    assert np.mean(found.score > 0.8) < 0.1
+
+
+def test_a_subset_is_aligned_like_the_whole_and_none_at_all_is_fine():
+    image, points = picture(), centres()
+    patches = Patches(image, points)
+    warps = np.tile(np.eye(2), (len(points), 1, 1))
+    seen = prepared(warped(image, np.eye(2), np.array([0.5, 0.25]), np.zeros(2)))
+    whole = patches.align(seen, np.arange(len(points)), points, warps)
+    some = np.array([7, 2, 30])
+    part = patches.align(seen, some, points[some], warps[some])
+    np.testing.assert_allclose(part.points, whole.points[some], atol=1e-4)
+    np.testing.assert_allclose(part.score, whole.score[some], atol=1e-4)
+    none = patches.align(seen, np.zeros(0, dtype=np.intp), points[:0], warps[:0])
+    assert none.points.shape == (0, 2)
+
+
+def test_a_flat_patch_neither_divides_by_zero_nor_scores():
+    flat = np.full((60, 60), 90, dtype=np.uint8)
+    patches = Patches(flat, np.array([[30.0, 30.0]]))
+    found = patches.align(
+        prepared(picture()[:60, :60]), np.array([0]), np.array([[30.0, 30.0]]), np.eye(2)[None]
+    )
+    assert np.isfinite(found.points).all()
+    assert found.score[0] < 0.8
