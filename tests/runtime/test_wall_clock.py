@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 
 import pytest
+from toy_plugins import SpyBackend
 
+from hal.errors import LinkError
+from hal.types import STANDSTILL
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.session import run_session
+from visctrl.runtime.watchdog import Watchdog
 
 
 def test_ticks_keep_their_deadlines(toy_plan: Callable[..., Plan]) -> None:
@@ -27,3 +32,39 @@ def test_ticks_keep_their_deadlines(toy_plan: Callable[..., Plan]) -> None:
     else:
         assert lateness["median"] <= 10.0
         assert summary["ticks"] >= 0.8 * 10 * seconds
+
+
+def test_the_robot_is_stopped_while_a_plugin_hangs(toy_plan: Callable[..., Plan]) -> None:
+    """Not when it comes back: nobody knows whether it ever will."""
+    trouble = {"controller.trouble": "stall", "controller.stall_s": 1.5, "controller.at_s": 0.3}
+    limits = {"safety.max_command_age_s": 0.4, "controller.drive_s": 0.6}
+    run_session(toy_plan({**trouble, **limits, "realtime": True}))
+    (backend,) = SpyBackend.opened
+    moving = [t for t, sent in backend.commands if sent != STANDSTILL]
+    before = max(t for t in moving if t < 1.0)
+    stopped = min(t for t, sent in backend.commands if sent == STANDSTILL and t > before)
+    assert 0.3 < stopped - before < 1.2, "0.4 s after the last command, long before 1.5 s"
+
+
+def test_a_watchdog_leaves_a_fed_or_standing_robot_alone() -> None:
+    stops: list[float] = []
+    with Watchdog(lambda: stops.append(time.monotonic()), 0.3) as watchdog:
+        for _ in range(6):
+            watchdog.feed(moving=True)
+            time.sleep(0.05)
+        watchdog.feed(moving=False)
+        time.sleep(0.4)
+        assert stops == []
+        watchdog.feed(moving=True)
+        time.sleep(0.8)
+        assert len(stops) == 1, "once is enough"
+
+
+def test_a_watchdog_survives_a_base_that_fails() -> None:
+    def fail() -> None:
+        raise LinkError("gone")
+
+    with Watchdog(fail, 0.05) as watchdog:
+        watchdog.feed(moving=True)
+        time.sleep(0.2)
+        watchdog.feed(moving=False)

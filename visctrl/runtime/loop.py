@@ -29,6 +29,7 @@ from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
 from visctrl.runtime.scheduler import Tick, Ticker
+from visctrl.runtime.watchdog import Watchdog
 
 T = TypeVar("T")
 
@@ -115,6 +116,8 @@ class Loop:
         clock = backend.clock
         self._timer: Callable[[], float] = time.perf_counter if clock.lockstep else clock.now
         self._origin = clock.now()
+        # Not started: where time stands still, no command grows old.
+        self._watchdog = Watchdog(backend.base.stop, guard.max_command_age)
         self.tally = Tally()
         #: Whether the robot has been told to move; may be reset between stages.
         self.moved = False
@@ -129,6 +132,13 @@ class Loop:
         DeviceError, PluginError, LostError, UnsafeCommandError
             The run cannot go on.
         """
+        if self._backend.clock.lockstep:
+            return self._run(stage)
+        self._watchdog = Watchdog(self._backend.base.stop, self._guard.max_command_age)
+        with self._watchdog:
+            return self._run(stage)
+
+    def _run(self, stage: Stage) -> bool:
         ticker = Ticker(self._backend.clock, self._period)
         self._guard.begin(ticker.origin)
         turn = _Turn(stage)
@@ -137,18 +147,27 @@ class Loop:
         while True:
             tick = ticker.wait()
             if tick.start - ticker.origin > stage.duration:
-                self.stop()
+                self._send(None)
                 return False
             self._tick(turn, tick)
             if turn.decision.finished:
-                self.stop()
                 return True
 
-    def stop(self) -> None:
-        """Bring the base to a standstill."""
-        with self._interrupts.shield:
-            self._backend.base.stop()
-        self._guard.was_sent(STANDSTILL, self._backend.clock.now())
+    def _send(self, velocity: Velocity | None) -> Velocity:
+        """Send a command, or stop for None, undisturbed by signals and by the watchdog.
+
+        Return what was really sent.
+        """
+        base = self._backend.base
+        with self._interrupts.shield, self._watchdog.lock:
+            if velocity is None:
+                base.stop()
+                sent = STANDSTILL
+            else:
+                sent = base.command(velocity)
+            self._watchdog.feed(moving=sent != STANDSTILL)
+        self._guard.was_sent(sent, self._backend.clock.now())
+        return sent
 
     def _tick(self, turn: _Turn, tick: Tick) -> None:
         """Do one tick of a stage."""
@@ -251,24 +270,23 @@ class Loop:
         if self._guard.too_old(frame, now) and not turn.held:
             turn.held = True
             turn.event = turn.event or "held: the frame grew old while it was worked on"
-        if turn.held or turn.decision.finished:
-            permitted = STANDSTILL
-        else:
-            try:
-                permitted = self._guard.permit(wanted, now)
-            except UnsafeCommandError as error:
-                name = turn.stage.controller_name
-                raise UnsafeCommandError(f"controller '{name}': {error}") from None
-        with self._interrupts.shield:
-            turn.sent = self._backend.base.command(permitted)
+        turn.sent = self._send(self._permitted(wanted, turn, now))
         self.moved = self.moved or turn.sent != STANDSTILL
-        self._guard.was_sent(turn.sent, now)
+
+    def _permitted(self, wanted: Velocity, turn: _Turn, now: float) -> Velocity | None:
+        """Return what may be sent, None where the robot must stop."""
+        if turn.held or turn.decision.finished:
+            return None
+        try:
+            return self._guard.permit(wanted, now)
+        except UnsafeCommandError as error:
+            name = turn.stage.controller_name
+            raise UnsafeCommandError(f"controller '{name}': {error}") from None
 
     def _withdraw_old_command(self, turn: _Turn) -> None:
         """Stop a robot whose last command has grown old while a plugin was at work."""
         if self._guard.expired(self._backend.clock.now()):
-            self.stop()
-            turn.sent = STANDSTILL
+            turn.sent = self._send(None)
             turn.event = "stopped: the command in force was too old"
 
     def _signals(self, turn: _Turn) -> tuple[tuple[str, Mapping[str, float]], ...]:

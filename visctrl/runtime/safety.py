@@ -92,6 +92,11 @@ class Guard:
         self._sent_at: float | None = None
         self._seen_at: float | None = None
 
+    @property
+    def max_command_age(self) -> float:
+        """Greatest age of a command that moves the robot (s)."""
+        return self._options.max_command_age_s
+
     def begin(self, now: float) -> None:
         """Start a stage: the robot stands, and features count as seen now."""
         self._sent = STANDSTILL
