@@ -32,3 +32,12 @@ def test_a_cluster_does_not_crowd_out_the_rest():
 def test_the_best_of_a_cell_comes_before_its_others():
     points = np.array([[5.0, 5.0], [6.0, 6.0], [200.0, 50.0]])
     assert spread(points, [0.2, 0.9, 0.1], 2, SHAPE).tolist() == [1, 2]
+
+
+def test_features_on_a_small_part_of_the_image_are_still_spread_over_that_part():
+    rng = np.random.default_rng(2)
+    pairs = rng.uniform([100, 20], [260, 80], (150, 2)).repeat(2, axis=0)
+    points = pairs + rng.uniform(0, 1, pairs.shape)
+    chosen = points[spread(points, rng.random(300), 60, SHAPE)]
+    gaps = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1) + 1e9 * np.eye(60)
+    assert np.mean(gaps.min(axis=1) < 2.0) < 0.1
