@@ -171,9 +171,14 @@ class LoadedScenario:
     overrides: tuple[Override, ...] = ()
 
     def origin_of(self, *path: str) -> str:
-        """Return the file, and the options that changed anything under ``path``."""
-        touching = [o.origin for o in self.overrides if o.path[: len(path)] == path]
-        return ", ".join([self.origin, *touching])
+        """Return where the value at ``path`` came from: the file, options, or both."""
+        origins = [self.origin]
+        for override in self.overrides:
+            if override.path == path[: len(override.path)]:
+                origins = [override.origin]
+            elif override.path[: len(path)] == path:
+                origins.append(override.origin)
+        return ", ".join(origins)
 
 
 @cache

@@ -205,6 +205,9 @@ def test_every_scenario_of_the_package_can_be_run(name: str) -> None:
 
 def test_overrides_know_where_they_came_from() -> None:
     overrides = [Override(("seed",), 3, "--seed 3"), Override(("robot",), "p3at", "--robot p3at")]
+    overrides += [Override(("camera", "width"), 400, "--set camera.width=400")]
     loaded = load_scenario("default", overrides)
-    assert loaded.origin_of("seed").endswith("default.yaml, --seed 3")
-    assert loaded.origin_of("robot").endswith("default.yaml, --robot p3at")
+    assert loaded.origin_of("seed") == "--seed 3"
+    assert loaded.origin_of("robot") == "--robot p3at"
+    assert loaded.origin_of("camera").endswith("default.yaml, --set camera.width=400")
+    assert loaded.origin_of("scheme").endswith("default.yaml")

@@ -20,6 +20,8 @@ from visctrl.runtime.records import STAGES
 #: Most lines in one panel of plugin signals.
 _MOST_LINES = 8
 _ROW_INCHES = 4.2
+#: Whole numbers beyond this are counts and get a panel of their own.
+_FEW = 5.0
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def plot_run(directory: Path, target: Path) -> None:
     FigureCanvasAgg(figure)
     # Fixed margins: a layout engine would draw the page twice.
     figure.subplots_adjust(
-        left=0.05, right=0.95, wspace=0.32, bottom=0.6 / height, top=1 - 0.5 / height, hspace=0.3
+        left=0.05, right=0.95, wspace=0.38, bottom=0.6 / height, top=1 - 0.5 / height, hspace=0.3
     )
     axes = figure.subplots(rows, 3, squeeze=False).ravel()
     panels = (_path, _states, _inputs, _features, _tick_times, _lateness)
@@ -127,8 +129,8 @@ def _path(axis: Axes, ticks: Ticks) -> None:
         -np.sin(phi[::step]),
         np.cos(phi[::step]),
         angles="xy",
-        scale=22,
-        width=0.004,
+        scale=18,
+        width=0.005,
         color="C0",
         alpha=0.6,
     )
@@ -197,15 +199,17 @@ def _signals(axis: Axes, ticks: Ticks, unit: str, names: Sequence[str]) -> None:
 
 
 def _signal_groups(ticks: Ticks) -> list[tuple[str, list[str]]]:
-    """Return the plugins' signals that hold anything, those of one plugin and unit together."""
-    groups: dict[tuple[str, str], list[str]] = {}
+    """Return the plugins' signals that hold anything, those that share a scale together."""
+    groups: dict[tuple[str, str, bool], list[str]] = {}
     for name, values in ticks.numbers.items():
         plugin, dot, _ = name.partition(".")
-        if dot and np.isfinite(values).any():
-            groups.setdefault((plugin, ticks.units[name]), []).append(name)
+        finite = values[np.isfinite(values)]
+        if dot and finite.size:
+            is_count = bool(finite.max() > _FEW and (finite == np.round(finite)).all())
+            groups.setdefault((plugin, ticks.units[name], is_count), []).append(name)
     return [
         (unit, names[first : first + _MOST_LINES])
-        for (_, unit), names in groups.items()
+        for (_, unit, _), names in groups.items()
         for first in range(0, len(names), _MOST_LINES)
     ]
 
