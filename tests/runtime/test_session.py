@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
+import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +17,10 @@ import yaml
 from toy_plugins import SpyBackend, ToyController
 
 from hal import mock
+from hal.actuation import Actuation
 from hal.clock import ManualClock
 from hal.errors import LinkError
-from hal.types import STANDSTILL, Frame
+from hal.types import STANDSTILL, Frame, Velocity
 from robots.errors import InputError
 from visctrl.plugins import Match
 from visctrl.runtime.plan import Plan
@@ -148,6 +151,46 @@ def test_trouble_in_a_plugin_stops_the_base_and_leaves_the_files(
     assert len(rows(tmp_path)) == 20
     if status == "fault":
         assert "Traceback" in (tmp_path / "fault.txt").read_text()
+
+
+def test_a_second_signal_does_not_disturb_the_clean_up(
+    toy_plan: MakePlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+    def impatient(self: ToyController) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(ToyController, "close", impatient)
+    plan = toy_plan({"controller.at_s": 2.0, "controller.trouble": "sigint"})
+    outcome, backend, _ = run(plan, tmp_path)
+    assert (outcome.summary["status"], outcome.exit_code) == ("stopped", 130)
+    assert_stopped(backend)
+    assert {path.name for path in tmp_path.iterdir()} == FILES
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_a_signal_waits_until_a_command_is_sent(
+    toy_plan: MakePlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command cut in two would leave half a packet on a serial line."""
+    finished: list[Velocity] = []
+    request = Actuation.request
+
+    def interrupted(self: Actuation, t: float, velocity: Velocity) -> Velocity:
+        if t > 1.0 and not finished:
+            os.kill(os.getpid(), signal.SIGINT)
+        sent = request(self, t, velocity)
+        if t > 1.0:
+            finished.append(sent)
+        return sent
+
+    monkeypatch.setattr(Actuation, "request", interrupted)
+    outcome, backend, _ = run(toy_plan())
+    assert outcome.summary["status"] == "stopped"
+    assert finished[0].v > 0.0, "the command that the signal met was completed"
+    assert_stopped(backend)
 
 
 @pytest.mark.parametrize(

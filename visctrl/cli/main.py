@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+_INTERRUPTED = 130
+
 app = typer.Typer(
     name="visctrl",
     help="Drive a wheeled robot to the pose from which a target image was taken.",
@@ -138,7 +140,12 @@ def run_command(
         realtime=realtime,
         gui=gui,
     )
-    raise typer.Exit(run(scenario, overrides, out, video=video, as_json=as_json, quiet=quiet))
+    try:
+        code = run(scenario, overrides, out, video=video, as_json=as_json, quiet=quiet)
+    except KeyboardInterrupt:
+        # Before or after the session, which handles its own.
+        code = _INTERRUPTED
+    raise typer.Exit(code)
 
 
 @app.command("list")

@@ -148,9 +148,8 @@ def _states(axis: Axes, ticks: Ticks) -> None:
     axis.plot(t, ticks.numbers[f"x_{which}"], label="x [m]")
     axis.plot(t, ticks.numbers[f"y_{which}"], label="y [m]")
     axis.plot([], [], color="C2", label="φ [deg]")
-    twin = axis.twinx()
+    twin = _second_scale(axis, "φ [deg]")
     twin.plot(t, ticks.degrees(f"phi_{which}"), color="C2")
-    twin.set_ylabel("φ [deg]")
     _finish(axis, f"pose of the camera ({which})", "m")
 
 
@@ -159,10 +158,9 @@ def _inputs(axis: Axes, ticks: Ticks) -> None:
     axis.plot(t, ticks.numbers["v_wanted"], color="C0", alpha=0.35, label="v wanted")
     axis.step(t, ticks.numbers["v_sent"], color="C0", where="post", label="v sent [m/s]")
     axis.plot([], [], color="C1", label="ω sent [deg/s]")
-    twin = axis.twinx()
+    twin = _second_scale(axis, "deg/s")
     twin.plot(t, ticks.degrees("omega_wanted"), color="C1", alpha=0.35)
     twin.step(t, ticks.degrees("omega_sent"), color="C1", where="post")
-    twin.set_ylabel("deg/s")
     _finish(axis, "inputs", "m/s")
 
 
@@ -204,7 +202,7 @@ def _signal_groups(ticks: Ticks) -> list[tuple[str, list[str]]]:
     for name, values in ticks.numbers.items():
         plugin, dot, _ = name.partition(".")
         finite = values[np.isfinite(values)]
-        if dot and finite.size:
+        if dot and finite.size > 1:
             is_count = bool(finite.max() > _FEW and (finite == np.round(finite)).all())
             groups.setdefault((plugin, ticks.units[name], is_count), []).append(name)
     return [
@@ -212,6 +210,15 @@ def _signal_groups(ticks: Ticks) -> list[tuple[str, list[str]]]:
         for (_, unit, _), names in groups.items()
         for first in range(0, len(names), _MOST_LINES)
     ]
+
+
+def _second_scale(axis: Axes, label: str) -> Axes:
+    """Return axes with a scale of their own, behind ``axis`` and its legend."""
+    twin = axis.twinx()
+    twin.set_ylabel(label)
+    axis.set_zorder(twin.get_zorder() + 1)
+    axis.patch.set_visible(False)
+    return twin
 
 
 def _finish(axis: Axes, title: str, unit: str) -> None:
