@@ -22,9 +22,13 @@ from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.schemes import SCHEMES, missing_plugins
 
 
+_WIDE = 200
+
+
 def show_everything() -> None:
     """Print scenarios, robots, cameras, backends, schemes and plugins."""
-    console = Console()
+    # In a pipe there is no line to fit into.
+    console = Console() if sys.stdout.isatty() else Console(width=_WIDE)
     registries = REGISTRIES
     _show(console, "scenarios", ((name, scenario_title(name)) for name in scenario_names()))
     _show(console, "robots", ((name, load_robot(name).title) for name in robot_names()))
