@@ -23,11 +23,14 @@ from sim.textures import FINEST_SIGMA_M, LEVELS, Levels, Pattern
 Array = NDArray[np.float64]
 
 #: Blur that a texture needs, in image pixels.
-_SIGMA_PX = 0.5
+_SIGMA_PX = 0.7
+_OBLIQUENESS = 0.75
 #: A level is kept until another fits better by this much (octaves).
 _HYSTERESIS = 0.6
 _NEAREST_M = 0.3
 _TYPICAL_HEIGHT_M = 0.75
+#: Headings within which a camera that looks ahead is expected to stay (rad).
+_TYPICAL_HEADING = math.radians(35.0)
 
 
 class TextureFiles:
@@ -57,6 +60,10 @@ class TextureFiles:
                 self._made[pattern] = Levels(pattern)
             cv2.imwrite(str(path), self._made[pattern].image(level))
         return str(path)
+
+    def forget(self) -> None:
+        """Free the patterns that textures are made from; the files stay."""
+        self._made.clear()
 
     def mesh(self, text: str) -> str:
         """Return a new file with a Wavefront mesh: two bodies of one file would share textures."""
@@ -163,12 +170,22 @@ class DrawnScene:
         return self._textures[key]
 
     def _make_ready(self, scene: Scene) -> None:
-        """Load what is needed in the arena, so that driving there is not held up."""
+        """Make the texture files that the arena needs, so that driving there is not held up."""
         for x in np.linspace(*scene.arena.x_m, 3):
             for y in np.linspace(*scene.arena.y_m, 4):
-                exact, facing = self._exact_levels(np.array([x, y, _TYPICAL_HEIGHT_M]), 0.0)
-                for i in np.flatnonzero(facing):
-                    self._texture(int(i), round(exact[i]))
+                eye = np.array([x, y, _TYPICAL_HEIGHT_M])
+                exact, facing = self._exact_levels(eye, 0.0)
+                for i in np.flatnonzero(facing & self._may_be_seen(eye)):
+                    self._files.texture(self._surfaces[i].pattern, round(exact[i]))
+        self._files.forget()
+
+    def _may_be_seen(self, eye: Array) -> NDArray[np.bool_]:
+        """Return which surfaces a robot that drives towards the target may have in view."""
+        if self._camera.panoramic:
+            return np.ones(len(self._centres), dtype=bool)
+        towards = self._centres - eye
+        bearing = np.abs(np.arctan2(towards[:, 0], towards[:, 1]))
+        return bearing < math.radians(self._camera.max_polar_deg) + _TYPICAL_HEADING
 
     def _exact_levels(self, eye: Array, phi: float) -> tuple[Array, NDArray[np.bool_]]:
         """Return the (fractional) level that each surface needs, and whether it faces the eye."""
@@ -176,9 +193,9 @@ class DrawnScene:
         distance = np.maximum(np.linalg.norm(towards, axis=-1), _NEAREST_M)
         cosine = -np.sum(towards * self._normals, axis=-1) / distance
         facing = cosine > 0.0
-        # An oblique surface is coarser in one direction only: meet half-way.
         footprint = distance / self._pixels_per_radian(towards, phi)
-        footprint = footprint / np.sqrt(np.clip(cosine, 0.1, 1.0))
+        # An oblique surface is coarser in one direction only: a compromise between the two.
+        footprint = footprint / np.clip(cosine, 0.1, 1.0) ** _OBLIQUENESS
         level = np.log2(_SIGMA_PX * footprint / FINEST_SIGMA_M)
         return np.clip(level, 0.0, LEVELS - 1.0), facing
 

@@ -23,10 +23,15 @@ Kind = Literal["blobs", "noise", "plain", "checker"]
 
 #: Resolution at which patterns are made (texels per metre).
 BASE_DENSITY = 256.0
-#: Blur of the sharpest level (m); each next level doubles it.
-FINEST_SIGMA_M = 0.7 / BASE_DENSITY
-#: Blur of every level in its own texels: nearest-texel sampling needs it this smooth.
-SIGMA_TEXELS = 1.4
+#: Blur of level 1 (texels at the base density).
+_BASE_SIGMA = 1.4
+#: Blur of the sharpest level, 0 (m); each next level doubles it.
+FINEST_SIGMA_M = _BASE_SIGMA / 2 / BASE_DENSITY
+#: Interpolated texels per texel that the content needs: a nearest-texel renderer shows features
+#: out of place by a fraction of a texel, so these must be small against the blur.
+FINENESS = 3.0
+#: Textures are not made larger than this (texels).
+_MOST_TEXELS = 2e6
 LEVELS = 6
 #: Side of the squares of the pattern ``checker`` (m).
 CHECK_M = 0.25
@@ -89,16 +94,16 @@ class Levels:
     def image(self, level: int) -> Image:
         """Return level ``level``: 0 is the sharpest, blurred by `FINEST_SIGMA_M`."""
         if level == 0:
-            smooth = _blurred(self._base, SIGMA_TEXELS / 2)
-            return _rounded(_resized(smooth, 2.0))
+            smooth = _blurred(self._base, _BASE_SIGMA / 2)
+            return _fine(smooth, 2.0 * FINENESS)
         while len(self._filtered) < level:
             if not self._filtered:
-                self._filtered.append(_blurred(self._base, SIGMA_TEXELS))
+                self._filtered.append(_blurred(self._base, _BASE_SIGMA))
                 continue
             # Variances add up: what is missing to twice the blur, before every other is dropped.
-            last = _blurred(self._filtered[-1], SIGMA_TEXELS * math.sqrt(3.0))
+            last = _blurred(self._filtered[-1], _BASE_SIGMA * math.sqrt(3.0))
             self._filtered.append(_resized(last, 0.5))
-        return _rounded(self._filtered[level - 1])
+        return _fine(self._filtered[level - 1], FINENESS)
 
 
 def periodic_noise(rng: np.random.Generator, side: int) -> Plane:
@@ -122,8 +127,10 @@ def _resized(plane: Plane, scale: float) -> Plane:
     return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 
 
-def _rounded(plane: Plane) -> Image:
-    return np.asarray(np.clip(np.rint(plane), 0, 255), dtype=np.uint8)
+def _fine(plane: Plane, scale: float) -> Image:
+    """Return an image ``scale`` times as large, or as large as textures may be."""
+    image = _resized(plane, min(scale, math.sqrt(_MOST_TEXELS / plane.size)))
+    return np.asarray(np.clip(np.rint(image), 0, 255), dtype=np.uint8)
 
 
 def _fractal_noise(rng: np.random.Generator, width: int, height: int) -> Plane:
