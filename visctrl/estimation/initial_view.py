@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,12 +39,12 @@ class InitialView:
         """The target's position (right, forward), of unit length."""
         return np.array([np.sin(self.bearing), np.cos(self.bearing)])
 
-    @property
+    @cached_property
     def parameters(self) -> Array:
         """(4,): see `visctrl.geometry.trifocal.view_parameters`."""
         return view_parameters(self.phi, self.target)
 
-    @property
+    @cached_property
     def jacobian(self) -> Array:
         """Derivative (4, 2) of ``parameters`` by (phi, bearing)."""
         J = np.zeros((4, 2))
@@ -51,7 +52,7 @@ class InitialView:
         J[2:, 1] = np.cos(self.bearing), -np.sin(self.bearing)
         return J
 
-    @property
+    @cached_property
     def basis(self) -> Array:
         """(8, 4): the tensors that have this initial view."""
         return current_view_basis(self.parameters)

@@ -116,11 +116,11 @@ def sampson_residuals(relation: Trilinear, tensor: ArrayLike) -> Array:
 
 def sampson_jacobian(relation: Trilinear, tensor: Array) -> tuple[Array, Array]:
     """Return the residuals (N,) of one tensor (k,), and their derivatives (N, k) by it."""
-    slopes = relation.gradient @ tensor
-    gradient = np.sqrt(np.maximum(np.sum(slopes * slopes, axis=0), 1e-24))
-    residual = (relation.error @ tensor) / gradient
-    bend = np.sum(slopes[..., None] * relation.gradient, axis=0)
-    jacobian = (relation.error - (residual / gradient)[:, None] * bend) / gradient[:, None]
+    a, b, c = slopes = relation.gradient @ tensor
+    inverse = 1.0 / np.sqrt(np.maximum(a * a + b * b + c * c, 1e-24))
+    residual = (relation.error @ tensor) * inverse
+    bend = (slopes * (residual * inverse))[..., None] * relation.gradient
+    jacobian = (relation.error - bend[0] - bend[1] - bend[2]) * inverse[:, None]
     return residual, jacobian
 
 

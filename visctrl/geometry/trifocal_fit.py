@@ -27,8 +27,8 @@ Mask = NDArray[np.bool_]
 _WIDE, _NARROW = 1.5, 4.0
 #: Longest step on the unit sphere.
 _LONGEST_STEP = 0.3
-#: A step this short, in standard deviations of the result, ends the iteration.
-_CONVERGED = 0.01
+#: A step this short, in standard deviations of the result, ends the iterations with a kernel.
+_NEAR, _CONVERGED = 0.5, 0.02
 
 
 @dataclass(frozen=True)
@@ -73,14 +73,14 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
         At most this many steps with each kernel.
     """
     z = start / np.linalg.norm(start)
-    for kernel in (_soft_l1, _geman_mcclure):
+    for kernel, close in ((_soft_l1, _NEAR), (_geman_mcclure, _CONVERGED)):
         for _ in range(iterations):
             residual, jacobian = sampson_jacobian(relation, z)
             spread = _spread(residual, sigma)
             step, length = _step(jacobian, residual, kernel(residual / spread), z)
             z = z + step
             z /= np.linalg.norm(z)
-            if length < _CONVERGED * spread:
+            if length < close * spread:
                 break
     residual, jacobian = sampson_jacobian(relation, z)
     spread = _spread(residual, sigma)
@@ -145,7 +145,8 @@ def _geman_mcclure(scaled: Array) -> Array:
 
 def _spread(residual: Array, sigma: float) -> float:
     """Return the robust standard deviation of the residuals, at least ``sigma``."""
-    return max(sigma, 1.4826 * float(np.median(np.abs(residual))))
+    middle = len(residual) // 2
+    return max(sigma, 1.4826 * float(np.partition(np.abs(residual), middle)[middle]))
 
 
 def _step(jacobian: Array, residual: Array, weights: Array, z: Array) -> tuple[Array, float]:
