@@ -162,9 +162,8 @@ class _Session:
             if stage.name == "approach" and not finished:
                 waited = f"after {stage.duration:g} s"
                 return End(MISSED, f"the robot did not face the target {waited}", 1)
-        elapsed = backend.clock.now() - self._began[0]
         self._settle(backend)
-        return judge(plan, finished, backend.truth(), backend.collisions(), elapsed)
+        return judge(plan, finished, backend.truth(), backend.collisions())
 
     def _run_stage(
         self, stage: Stage, loop: Loop, backend: Backend, perception: Perception[Any]

@@ -76,7 +76,7 @@ class Meter(Observer):
         return list(map(sum, zip(*(self.parts[name] for name in COMPUTE), strict=True)))
 
 
-def judge(plan: Plan, finished: bool, truth: Pose | None, collisions: int, t: float) -> End:
+def judge(plan: Plan, finished: bool, truth: Pose | None, collisions: int) -> End:
     """Return how a run that went to its end has ended.
 
     ``reached`` needs the controller's own termination test, no contact with anything, and,
@@ -85,7 +85,8 @@ def judge(plan: Plan, finished: bool, truth: Pose | None, collisions: int, t: fl
     if collisions:
         return End(MISSED, f"the robot touched something ({collisions} contacts)", 1)
     if not finished:
-        return End(MISSED, f"the controller had not finished after {t:.1f} s", 1)
+        allowed = f"{plan.scenario.duration_s:g} s"
+        return End(MISSED, f"the controller had not finished after {allowed}", 1)
     if truth is None:
         return End(REACHED, "the controller finished; the true pose is not known", 0)
     tolerance = plan.scenario.tolerance
