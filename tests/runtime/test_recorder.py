@@ -87,7 +87,6 @@ def test_a_log_cut_short_by_a_crash_can_still_be_read_and_drawn(
     assert len(read_ticks(tmp_path / "ticks.csv")) == 0
 
 
-@pytest.mark.usefixtures("real_plots")
 def test_the_plot_page_shows_a_run_without_truth_or_ticks(
     recorded: tuple[Path, list[TickRecord]], tmp_path: Path
 ) -> None:
