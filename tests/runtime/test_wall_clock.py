@@ -25,7 +25,7 @@ def test_ticks_keep_their_deadlines(toy_plan: Callable[..., Plan]) -> None:
     assert summary["duration_s"] == pytest.approx(seconds, abs=0.5)
     assert summary["real_time_factor"] == pytest.approx(1.0, abs=0.02)
     lateness = summary["lateness_ms"]
-    print(f"\nlateness ms {lateness}, missed {summary['missed_ticks']}")
+    print(f"\nlateness ms {lateness}, missed {summary['missed_ticks']}, {outcome.notes}")
     if seconds >= 30.0:
         assert summary["missed_ticks"] == 0
         assert lateness["p99"] <= 5.0
