@@ -51,7 +51,6 @@ def test_in_lockstep_the_result_comes_at_its_tick_and_is_up_to_date(canvas, turn
     found = search.take(turning[4])
     search.close()
     assert found is not None
-    assert not search.running
     before = describe(turning[0].image, canvas, 60, 15).points[found.which]
     expected = canvas.canonical(before + np.array([canvas.scale * np.radians(8.0), 0.0]))
     error = np.linalg.norm(found.points - expected, axis=1)

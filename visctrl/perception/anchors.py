@@ -54,7 +54,7 @@ class Anchors:
         self._warps[1, which] = np.eye(2) * (scale / initially)[:, None, None]
         return rays
 
-    def hold(self, image: Values, which: Indices, points: Array, iterations: int = 3) -> Anchored:
+    def hold(self, image: Values, which: Indices, points: Array, iterations: int) -> Anchored:
         """Align landmarks (M,) expected at points (M, 2) of an image (see `prepared`).
 
         The view that said next to nothing about a landmark is asked about it again only once in

@@ -20,9 +20,9 @@ Values = NDArray[np.float32]
 
 #: Half the side of a patch (px); the patch has 2·7 + 1 pixels a side.
 HALF = 7
-# A pixel at the patch's rim moves by about this much before the affine part's prior bites;
-# the units are those of normalised intensity over the noise of a good match.
-_AFFINE_STIFFNESS = 2e-3
+# Damping of the affine part, against the information of a well textured patch of about 4: what
+# the texture says little about stays as it was.
+_AFFINE_DAMPING = 0.1
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Patches:
         self._weights = np.exp(-(self._offsets**2).sum(axis=0) / (2 * (0.6 * HALF) ** 2))
         self._weights /= self._weights.sum()
         self._root = np.sqrt(self._weights).astype(np.float32)
-        self._build(_smoothed(image))
+        self._build(prepared(image))
 
     def _build(self, image: Values) -> None:
         """Prepare the normalised templates and the normal equations of each patch."""
@@ -65,16 +65,9 @@ class Patches:
         grey = self._sample(image, self.points, eye)
         self._template, norm = self._normalised(grey)
         step = np.array([[0.5, 0.0], [0.0, 0.5]])
-        gradient = [
-            self._root
-            * (
-                self._sample(image, self.points + shift, eye)
-                - self._sample(image, self.points - shift, eye)
-            )
-            / norm
-            for shift in step
-        ]
-        gx, gy = gradient
+        after = (self._sample(image, self.points + shift, eye) for shift in step)
+        before = (self._sample(image, self.points - shift, eye) for shift in step)
+        gx, gy = (self._root * (b - a) / norm for a, b in zip(before, after, strict=True))
         dx, dy = self._offsets.astype(np.float32)
         steepest = np.stack([gx, gy, gx * dx, gx * dy, gy * dx, gy * dy], axis=1)
         # What a change of offset or gain explains is none of the warp's business.
@@ -83,13 +76,9 @@ class Patches:
         steepest -= along[..., None] * self._template[:, None]
         self._steepest = steepest
         normal = np.einsum("nks,nls->nkl", steepest, steepest).astype(np.float64)
-        stiffness = _AFFINE_STIFFNESS * HALF**2
-        normal[:, [2, 3, 4, 5], [2, 3, 4, 5]] += stiffness
+        normal[:, [2, 3, 4, 5], [2, 3, 4, 5]] += _AFFINE_DAMPING
         normal[:, [0, 1], [0, 1]] += 1e-9
         self._inverse = np.linalg.inv(normal).astype(np.float32)
-
-    def __len__(self) -> int:
-        return len(self.points)
 
     def align(
         self,
@@ -154,9 +143,5 @@ def _inverse(A: Array) -> Array:
 
 
 def prepared(image: Grey) -> Values:
-    """Return an image ready for `Patches.align` (float, slightly smoothed)."""
-    return _smoothed(image)
-
-
-def _smoothed(image: Grey) -> Values:
+    """Return an image ready for `Patches.align`: float, and a little smoothed."""
     return np.asarray(cv2.GaussianBlur(image, (5, 5), 0.8).astype(np.float32), dtype=np.float32)

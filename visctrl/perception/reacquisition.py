@@ -49,11 +49,6 @@ class Reacquisition:
         self._future: Future[Recognised | None] | None = None
         self._pictures: list[Picture] = []
 
-    @property
-    def running(self) -> bool:
-        """Whether a search is under way."""
-        return self._future is not None
-
     def start(self, picture: Picture) -> None:
         """Search in a picture, unless a search is under way."""
         if self._future is not None:

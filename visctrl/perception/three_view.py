@@ -28,7 +28,7 @@ _PRIOR_INVERSE_DISTANCE_SD = 3.0
 _GATE_SIGMAS = 4.0
 _OUTLIER_SCALE = 2.0
 # Gauss–Newton steps at most, and the step (baselines, rad) under which noise is larger.
-_STEPS, _SETTLED = 8, 2e-5
+_STEPS, _SETTLED = 8, 1e-4
 
 
 @dataclass(frozen=True)
