@@ -9,12 +9,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
 from hal.central_camera import CentralCamera
 from hal.types import Pose
 from robots.unicycle import to_rep103
+from sim.engine import pybullet
 from sim.frames import TO_ENGINE, heading_matrix
 from sim.scene import Scene
 from sim.surfaces import Surface, surfaces

@@ -52,14 +52,18 @@ class FloorTexture:
         self._size = round(_PERIOD_M * BASE_DENSITY)
         noise = periodic_noise(np.random.default_rng([seed, 0]), self._size)
         grey = np.clip(255.0 * (shade + contrast * np.tanh(noise)), 0.0, 254.0)
-        self.levels = [grey.astype(np.float32)]
+        self.levels = [self._smooth(grey.astype(np.float32), _SIGMA_TEXELS)]
         while len(self.levels) < _LEVELS:
-            last = self.levels[-1]
-            wrapped = cv2.copyMakeBorder(last, 8, 8, 8, 8, cv2.BORDER_WRAP)
-            smooth = cv2.GaussianBlur(wrapped, (0, 0), 2.0 * _SIGMA_TEXELS)[8:-8, 8:-8]
+            # Variances add up to twice the blur, before every other texel is dropped.
+            smooth = self._smooth(self.levels[-1], _SIGMA_TEXELS * math.sqrt(3.0))
             quarters = [smooth[i::2, j::2] for i in (0, 1) for j in (0, 1)]
             self.levels.append(np.mean(quarters, axis=0, dtype=np.float32))
         self.sheet, self.offsets = self._sheet()
+
+    @staticmethod
+    def _smooth(level: Single, sigma: float) -> Single:
+        wrapped = cv2.copyMakeBorder(level, 8, 8, 8, 8, cv2.BORDER_WRAP)
+        return np.asarray(cv2.GaussianBlur(wrapped, (0, 0), sigma)[8:-8, 8:-8], np.float32)
 
     def _sheet(self) -> tuple[Image, Single]:
         """Lay the levels side by side, each with a wrapped rim of one texel."""

@@ -7,16 +7,16 @@ from importlib import resources
 from statistics import fmean
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
-from hal.errors import InputError
 from hal.types import STANDSTILL, Pose, Velocity
 from robots import Robot
 from robots.unicycle import from_rep103, to_rep103
+from sim.engine import connect, connect_window, disconnect, pybullet
 from sim.frames import TO_ENGINE
 from sim.scene import Item, Scene
 from sim.tyres import SkidTyres
+from sim.window import furnish_window
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Physics:
 
     def __init__(self, scene: Scene, robot: Robot, gui: bool = False) -> None:
         self._robot = robot
-        self.client = _connect(gui)
+        self.client = connect_window() if gui else connect()
         options = {"physicsClientId": self.client}
         pybullet.setGravity(0.0, 0.0, -_GRAVITY_M_S2, **options)
         pybullet.setTimeStep(1.0 / STEPS_PER_SECOND, **options)
@@ -68,6 +68,7 @@ class Physics:
         self._separate_wheels(set(joints.values()))
         self._speeds: list[float] = []
         self._tyres = self._skid_tyres() if robot.drive == "skid-steer" else None
+        self._window = furnish_window(self.client, scene, self._things.values()) if gui else None
         self._touching: set[int] = set()
         self._contacts = 0
 
@@ -139,12 +140,13 @@ class Physics:
         pybullet.resetBasePositionAndOrientation(
             body, *_engine_pose(at, height), physicsClientId=self.client
         )
+        if self._window is not None:
+            self._window.place(item, at)
 
     def close(self) -> None:
         """Disconnect. Safe to call twice."""
         if self.client >= 0:
-            if pybullet.isConnected(self.client):
-                pybullet.disconnect(physicsClientId=self.client)
+            disconnect(self.client)
             self.client = -1
 
     def _advance(self) -> None:
@@ -223,18 +225,6 @@ class Physics:
         inverse = pybullet.invertTransform(*self._inertial_frame())
         position, orientation = pybullet.multiplyTransforms(position, orientation, *inverse)
         return list(position), float(pybullet.getEulerFromQuaternion(orientation)[2])
-
-
-def _connect(gui: bool) -> int:
-    if not gui:
-        return int(pybullet.connect(pybullet.DIRECT))
-    try:
-        client = int(pybullet.connect(pybullet.GUI))
-    except pybullet.error:
-        client = -1
-    if client < 0:
-        raise InputError("PyBullet's window cannot be opened here: run without --gui")
-    return client
 
 
 def _boxes(scene: Scene) -> dict[str, tuple[Array, Pose, float]]:

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 #: Texture coordinates stay below 1, where TinyRenderer would wrap them to 0.
 _LAST = 1.0 - 1e-6
+#: How bright an item's sides are, painted on: light in the scene would change as items turn.
+_SIDE_LIGHT = {"front": 1.0, "right": 0.8, "back": 0.95, "left": 1.15, "top": 1.3, "bottom": 0.6}
 #: Keeps panels on walls off the wall's own plane.
 _GROUND_CLEARANCE_M = 1e-3
 
@@ -109,10 +111,7 @@ def _tiles(name: str, start: Array, end: Array, room: Room, seed: int) -> list[S
 
 
 def item_surfaces(item: Item, seed: int) -> list[Surface]:
-    """Return an item's four sides, and its top and bottom where they can be seen.
-
-    The broad sides have a texture each; narrow ones, top and bottom are painted plainly.
-    """
+    """Return an item's four sides and its top, and its bottom if it hangs."""
     width, depth, height = item.size_m
     yaw = math.radians(item.yaw_deg)
     x = np.array([math.cos(yaw), math.sin(yaw), 0.0])
@@ -145,7 +144,8 @@ def _item_side(
 ) -> Surface:
     name = f"{item.name} {side}"
     margin = min(item.margin_m, 0.2 * min(width, height))
-    return Surface(name, _pattern(item, width, height, margin, name, seed), (rectangle,), item.name)
+    lit = item.model_copy(update={"shade": item.shade * _SIDE_LIGHT[side]})
+    return Surface(name, _pattern(lit, width, height, margin, name, seed), (rectangle,), item.name)
 
 
 def _pattern(

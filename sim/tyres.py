@@ -13,8 +13,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
+
+from sim.engine import pybullet
 
 Array = NDArray[np.float64]
 
