@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from hal.types import STANDSTILL, Velocity
@@ -36,6 +37,10 @@ _ACCELERATION_SHARE = 0.7
 _PATIENCE_S = 3.0
 #: Damping of the inverse in standard deviations of the lateral position.
 _DAMPING_SIGMAS = 15.0
+#: A start this near to the target, in units of T_N, leaves only a turn to do.
+_THERE = 1e-3
+#: So many times the initial distance away, and so much farther, the robot gives up.
+_ASTRAY, _LEEWAY_M = 1.5, 0.5
 #: The robot stands when it is told to move slower than this.
 _STANDING = Velocity(0.006, math.radians(1.5))
 
@@ -127,7 +132,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         self._values = {}
         if estimate.health is Health.LOST:
             return self._hold()
-        if self._phase == "advance":
+        if self._phase == "advance" and not self._starts_there(estimate):
             decision = self._advance(estimate, dt)
             if decision is not None:
                 return decision
@@ -137,6 +142,8 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         self._values = {"determinant": seen.determinant}
         if self._phase == "advance":
             self._begin_position(seen, estimate.scale_sd_m)
+        if self._astray(seen):
+            return self._hold()
         if self._phase == "position":
             wanted = self._position(seen, dt)
         elif self._phase == "retreat":
@@ -159,6 +166,24 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         """Stand still; the reference's clock stands still with the robot."""
         self._sent = self._shaper.stop()
         return Decision(self._sent, self._phase)
+
+    def _starts_there(self, estimate: TensorEstimate) -> bool:
+        """Return whether nothing but a turn is left to do, and go on to that."""
+        there = estimate.health is Health.OK and float(np.hypot(*estimate.outputs)) < _THERE
+        if there:
+            self._phase = "orientation"
+        return there
+
+    def _astray(self, seen: Situation) -> bool:
+        """Return whether the robot has got much farther from the target than it began.
+
+        No law does that on purpose: its gains, φ1 or scale must be far from the truth.
+        """
+        start = math.hypot(*self._from)
+        if start == 0.0:
+            return False
+        limit = _ASTRAY * start + _LEEWAY_M / seen.scale
+        return math.hypot(seen.right, seen.forward) > limit
 
     def _advance(self, estimate: TensorEstimate, dt: float) -> Decision | None:
         """Return the next command of the straight leg, None when it is done."""

@@ -12,9 +12,12 @@ from robots.unicycle import relative_pose
 from visctrl.estimation.initial_view import InitialView
 from visctrl.estimation.scale import DeadReckoning, PathScale
 from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
-from visctrl.geometry.planar import ransac_planar_motion
+from visctrl.geometry.planar import PlanarMotion, ransac_planar_motion
 from visctrl.geometry.trifocal import (
+    T111,
+    T112,
     T121,
+    T122,
     Trilinear,
     initial_view_basis,
     sampson_residuals,
@@ -22,7 +25,7 @@ from visctrl.geometry.trifocal import (
     view_parameters,
 )
 from visctrl.geometry.trifocal_fit import Fit, refine, sensitivity, view_jacobian, view_of
-from visctrl.geometry.trifocal_solvers import ransac
+from visctrl.geometry.trifocal_solvers import identical_views, ransac
 from visctrl.plugins import Context, Health, Views
 
 Array = NDArray[np.float64]
@@ -66,10 +69,12 @@ class ConstrainedFit(TensorMethod):
         """Return the tensor of the current view."""
         initial = self._initial
         if initial is None:
-            motion = self._initial_motion(views)
-            if isinstance(motion, Measurement):
-                return motion
-            initial = self._initial = motion
+            if identical_views(views.initial, views.target, views.sigma):
+                return self._turned_only(views)
+            motion = self._motion(views.initial, views)
+            if motion.health is not Health.OK:
+                return Measurement.none(motion.health, f"initial and target view: {motion.reason}")
+            initial = self._initial = InitialView.of(motion)
         relation = trilinear(views.initial, views.current, views.target)
         fit, agreeing = self._fit(relation.within(initial.basis), initial, views.sigma)
         if agreeing.mean() < self.options.min_inliers:
@@ -81,18 +86,43 @@ class ConstrainedFit(TensorMethod):
         self._follow(initial, heading, target, fit)
         return self._measurement(initial, relation, fit, int(agreeing.sum()))
 
-    def _initial_motion(self, views: Views) -> InitialView | Measurement:
-        motion = ransac_planar_motion(
-            views.initial,
+    def _motion(self, rays: Array, views: Views) -> PlanarMotion:
+        """Return the motion from a view with these rays to the target's."""
+        return ransac_planar_motion(
+            rays,
             views.target,
             views.sigma,
             seed=self.context.seed,
             threshold_sigmas=self.options.threshold_sigmas,
             hypotheses=self.options.hypotheses,
         )
-        if motion.health is not Health.OK:
-            return Measurement.none(motion.health, f"initial and target view: {motion.reason}")
-        return InitialView.of(motion)
+
+    def _turned_only(self, views: Views) -> Measurement:
+        """Return the tensor of a robot that started on the target's position and still is there.
+
+        Then no view has parallax and only headings are known; t_1 is anything, say straight
+        ahead, and t_2 = 0.
+        """
+        motion = self._motion(views.current, views)
+        turned_only = identical_views(views.current, views.target, views.sigma)
+        if motion.health is Health.LOST or not turned_only:
+            reason = "views identical: initial and target, so no distance can be measured"
+            return Measurement.none(Health.DEGENERATE, reason)
+        heading = -motion.phi
+        tensor = np.zeros(8)
+        tensor[[T112, T121]] = -math.cos(heading), math.cos(heading)
+        tensor[[T111, T122]] = math.sin(heading)
+        slope = np.zeros(8)
+        slope[[T112, T121]] = math.sin(heading), -math.sin(heading)
+        slope[[T111, T122]] = math.cos(heading)
+        return Measurement(
+            Health.OK,
+            "",
+            tensor,
+            motion.phi_sd**2 * np.outer(slope, slope),
+            inliers=int(motion.inliers.sum()),
+            spread=views.sigma,
+        )
 
     def _fit(
         self, relation: Trilinear, initial: InitialView, sigma: float
@@ -103,7 +133,7 @@ class ConstrainedFit(TensorMethod):
         agreeing = self._agreeing(relation, fit, sigma)
         if agreeing.mean() >= _DOUBTFUL or len(relation) < 4:
             return fit, agreeing
-        z, _ = ransac(
+        z, inliers = ransac(
             relation,
             sigma,
             seed=self.context.seed,
@@ -111,7 +141,10 @@ class ConstrainedFit(TensorMethod):
             hypotheses=self.options.hypotheses,
         )
         # z and −z are one tensor: the robot has not turned half round since the last tick.
-        other = refine(relation, z if z[:2] @ start[:2] >= 0.0 else -z, sigma)
+        z = z if z[:2] @ start[:2] >= 0.0 else -z
+        if inliers.sum() > len(z):
+            z = refine(relation.take(inliers), z, sigma).z
+        other = refine(relation, z, sigma)
         others = self._agreeing(relation, other, sigma)
         return (other, others) if others.sum() > agreeing.sum() else (fit, agreeing)
 

@@ -23,12 +23,12 @@ from visctrl.geometry.trifocal import (
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Soft-L1 scale and width of the redescending kernel, in spreads of the residuals.
-_WIDE, _NARROW = 1.5, 4.0
+#: Width of the kernel in spreads of the residuals.
+_WIDTH = 4.0
 #: Longest step on the unit sphere.
 _LONGEST_STEP = 0.3
-#: A step this short, in standard deviations of the result, ends the iterations with a kernel.
-_NEAR, _CONVERGED = 0.5, 0.02
+#: A step this short, in standard deviations of the result, ends the iteration.
+_CONVERGED = 0.02
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class Fit:
     inliers: Mask
 
 
-def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int = 12) -> Fit:
+def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int = 20) -> Fit:
     """Refine coordinates by robust Gauss–Newton on Sampson residuals.
 
-    A soft-L1 kernel as wide as the residuals at hand leads to the minimum; a redescending one
-    (Geman–McClure) then removes what outliers still pull. Its width follows the spread of the
-    residuals, never ``sigma`` alone: narrower than the tracks' drift, it would lock on to
+    The kernel (Geman–McClure) is redescending: gross errors of high leverage would pull any
+    other away. Its width follows the spread of the residuals, wide at a poor start and narrow
+    in the end, never ``sigma`` alone: narrower than the tracks' drift, it would lock on to
     whichever few features happen to agree.
 
     Parameters
@@ -70,18 +70,17 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
     sigma : float
         Standard deviation of one direction (rad).
     iterations : int
-        At most this many steps with each kernel.
+        At most this many steps.
     """
     z = start / np.linalg.norm(start)
-    for kernel, close in ((_soft_l1, _NEAR), (_geman_mcclure, _CONVERGED)):
-        for _ in range(iterations):
-            residual, jacobian = sampson_jacobian(relation, z)
-            spread = _spread(residual, sigma)
-            step, length = _step(jacobian, residual, kernel(residual / spread), z)
-            z = z + step
-            z /= np.linalg.norm(z)
-            if length < close * spread:
-                break
+    for _ in range(iterations):
+        residual, jacobian = sampson_jacobian(relation, z)
+        spread = _spread(residual, sigma)
+        step, length = _step(jacobian, residual, _geman_mcclure(residual / spread), z)
+        z = z + step
+        z /= np.linalg.norm(z)
+        if length < _CONVERGED * spread:
+            break
     residual, jacobian = sampson_jacobian(relation, z)
     spread = _spread(residual, sigma)
     weights = _geman_mcclure(residual / spread)
@@ -135,12 +134,8 @@ def sensitivity(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: A
     return np.asarray(-fit.covariance @ (weighted * by_z).T @ by_q)
 
 
-def _soft_l1(scaled: Array) -> Array:
-    return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _WIDE) ** 2))
-
-
 def _geman_mcclure(scaled: Array) -> Array:
-    return np.asarray(1.0 / (1.0 + (scaled / _NARROW) ** 2) ** 2)
+    return np.asarray(1.0 / (1.0 + (scaled / _WIDTH) ** 2) ** 2)
 
 
 def _spread(residual: Array, sigma: float) -> float:

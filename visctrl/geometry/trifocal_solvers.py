@@ -15,8 +15,11 @@ from visctrl.geometry.trifocal import Trilinear, sampson_residuals, unit_bearing
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Median parallax (in standard deviations of a bearing) below which views count as identical.
-_IDENTICAL_SIGMAS = 1.5
+#: Median difference of two bearings due to noise alone, in standard deviations of one, and the
+#: standard deviation of that median times the root of the number of features.
+_NOISE_MEDIAN, _NOISE_MEDIAN_SD = 0.954, 1.12
+#: Views differ when the median is this many of its standard deviations above the noise's.
+_SIGNIFICANCE = 4.0
 
 
 def solve_linear(relation: Trilinear) -> Array:
@@ -100,5 +103,5 @@ def identical_views(rays_a: Array, rays_b: Array, sigma: float) -> bool:
     turn = np.arctan2(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0], b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1])
     centre = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
     deviation = np.abs(np.sin(turn - centre)) * np.minimum(level_a, level_b)
-    # Noise alone gives a median of 0.95 σ: two bearings' difference.
-    return float(np.median(deviation)) < _IDENTICAL_SIGMAS * sigma
+    bound = _NOISE_MEDIAN + _SIGNIFICANCE * _NOISE_MEDIAN_SD / np.sqrt(len(deviation))
+    return bool(np.median(deviation) < bound * sigma)
