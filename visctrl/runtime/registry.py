@@ -138,6 +138,7 @@ class Registries:
             Perception,
             {
                 "klt": "visctrl.perception.klt:Klt",
+                "sift": "visctrl.perception.sift:Sift",
                 "features": "visctrl.perception.features:IdentifiedFeatures",
             },
         )
