@@ -74,9 +74,9 @@ def checker_room() -> Scene:
         for y in _BOARD_CENTRES_M
     ]
     extent = (-_HALF_M, _HALF_M)
-    floor = Paint(shade=0.5, contrast=0.0)
+    plain = Paint(shade=0.5, contrast=0.0)
     room = Room(
-        x_m=extent, y_m=extent, height_m=_HEIGHT_M, tile_m=_BOARD_M, walls=board, floor=floor
+        x_m=extent, y_m=extent, height_m=_HEIGHT_M, tile_m=_BOARD_M, walls=board, floor=plain
     )
     return Scene(name="checker room", room=room, items=tuple(boards))
 

@@ -1,8 +1,9 @@
 """Floor and ceiling, computed per pixel instead of rasterised.
 
-The floor is one plane through the whole picture: a software rasteriser spends half of its time
-on it. Here each face pixel that looks down meets the floor at a point known up to the camera's
-height, so a frame costs one turn of these points and one look-up in a filtered texture.
+They are planes through the whole picture, and a software rasteriser spends half of its time on
+one of them. Here each face pixel that looks down or up meets its plane at a point known up to
+the camera's height, so a frame costs one turn of these points and one look-up in a filtered
+texture.
 """
 
 from __future__ import annotations
@@ -16,75 +17,120 @@ from numpy.typing import NDArray
 
 from hal.central_camera import CentralCamera
 from hal.types import Pose
-from sim.faces import Face, FaceLayout, PixelOrigin
-from sim.scene import Scene
-from sim.textures import BASE_DENSITY, periodic_noise
+from sim.faces import FaceLayout, PixelOrigin
+from sim.scene import Paint, Scene
+from sim.textures import periodic_noise
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 Single = NDArray[np.float32]
 
-#: The floor's texture repeats after this length (m).
-_PERIOD_M = 6.0
+#: A plane's texture repeats after this length (m): longer than what is seen of it at a time.
+_PERIOD_M = 16.0
+_SIDE_TEXELS = 2048
 _LEVELS = 8
 #: Blur of a filtered level in its own texels.
 _SIGMA_TEXELS = 0.7
+#: Rays this near to the horizon meet no plane.
+_LEVEL_RAY = 1e-3
+
+
+class PlaneTexture:
+    """A periodic texture with its filtered levels side by side in one image.
+
+    sheet : the image.
+    sides : side of each level (texels).
+    columns : where each begins in the sheet, in the coordinates of `cv2.remap`.
+    """
+
+    def __init__(self, paint: Paint, seed: list[int]) -> None:
+        noise = periodic_noise(np.random.default_rng(seed), _SIDE_TEXELS)
+        grey = np.clip(255.0 * (paint.shade + paint.contrast * np.tanh(noise)), 0.0, 255.0)
+        levels = [_smooth(grey.astype(np.float32), _SIGMA_TEXELS)]
+        while len(levels) < _LEVELS:
+            # Variances add up to twice the blur, before every other texel is dropped.
+            smooth = _smooth(levels[-1], _SIGMA_TEXELS * math.sqrt(3.0))
+            quarters = [smooth[i::2, j::2] for i in (0, 1) for j in (0, 1)]
+            levels.append(np.mean(quarters, axis=0, dtype=np.float32))
+        self.sides = np.array([level.shape[0] for level in levels], np.float32)
+        self.sheet, self.columns = _sheet(levels)
+
+    def level_of(self, footprint_m: Array) -> NDArray[np.intp]:
+        """Return the level whose blur fits pixels that cover ``footprint_m`` on the plane."""
+        exact = np.log2(np.maximum(footprint_m * _SIDE_TEXELS / _PERIOD_M, 1.0))
+        return np.clip(np.rint(exact), 0, _LEVELS - 1).astype(np.intp)
 
 
 @dataclass(frozen=True)
-class _FloorPart:
-    """The part of a face that may look down: its last (or first) rows.
+class _Part:
+    """The rows of a face that may look at a plane.
 
-    x, y : where its rays meet the floor one metre below, in robot axes (m).
-    below : whether they meet it at all.
+    x, y : where its rays meet the plane at unit distance, in robot axes.
+    seen : whether they meet it at all.
     """
 
     rows: slice
     x: Single
     y: Single
-    below: NDArray[np.bool_]
+    seen: Mask
 
 
-class FloorTexture:
-    """A periodic texture with its filtered levels side by side in one image."""
+class _Plane:
+    """One plane as the faces see it: ``sign`` −1 is the floor, +1 the ceiling."""
 
-    def __init__(self, shade: float, contrast: float, seed: int) -> None:
-        self._size = round(_PERIOD_M * BASE_DENSITY)
-        noise = periodic_noise(np.random.default_rng([seed, 0]), self._size)
-        grey = np.clip(255.0 * (shade + contrast * np.tanh(noise)), 0.0, 254.0)
-        self.levels = [self._smooth(grey.astype(np.float32), _SIGMA_TEXELS)]
-        while len(self.levels) < _LEVELS:
-            # Variances add up to twice the blur, before every other texel is dropped.
-            smooth = self._smooth(self.levels[-1], _SIGMA_TEXELS * math.sqrt(3.0))
-            quarters = [smooth[i::2, j::2] for i in (0, 1) for j in (0, 1)]
-            self.levels.append(np.mean(quarters, axis=0, dtype=np.float32))
-        self.sheet, self.offsets = self._sheet()
+    def __init__(self, texture: PlaneTexture, rays: list[Array], sign: int) -> None:
+        self._texture = texture
+        self._parts = [_part(directions, sign) for directions in rays]
+        self._distance = math.nan
+        self._scales: list[Single] = []
+        self._columns: list[Single] = []
 
-    @staticmethod
-    def _smooth(level: Single, sigma: float) -> Single:
-        wrapped = cv2.copyMakeBorder(level, 8, 8, 8, 8, cv2.BORDER_WRAP)
-        return np.asarray(cv2.GaussianBlur(wrapped, (0, 0), sigma)[8:-8, 8:-8], np.float32)
+    def paint(self, index: int, picture: Image, pose: Pose, distance: float) -> None:
+        """Draw the plane into a face's picture; it lies ``distance`` (m) from the camera."""
+        part = self._parts[index]
+        if part is None:
+            return
+        if distance != self._distance:
+            self._choose_levels(distance)
+        s = np.float32(math.sin(pose.phi) * distance)
+        c = np.float32(math.cos(pose.phi) * distance)
+        u = _fraction((c * part.x - s * part.y + np.float32(pose.x)) / _PERIOD_M)
+        v = _fraction((s * part.x + c * part.y + np.float32(pose.y)) / _PERIOD_M)
+        u = u * self._scales[index] + self._columns[index]
+        # The sheet's rim is one texel, the first texel's centre half a texel from its edge.
+        v = v * self._scales[index] + np.float32(0.5)
+        looked_up = cv2.remap(self._texture.sheet, u, v, cv2.INTER_LINEAR)
+        cv2.copyTo(looked_up, part.seen.view(np.uint8), dst=picture[part.rows])
 
-    def _sheet(self) -> tuple[Image, Single]:
-        """Lay the levels side by side, each with a wrapped rim of one texel."""
-        width = sum(level.shape[1] + 2 for level in self.levels)
-        sheet = np.zeros((self._size + 2, width), np.uint8)
-        offsets, column = [], 0
-        for level in self.levels:
-            rim = cv2.copyMakeBorder(level, 1, 1, 1, 1, cv2.BORDER_WRAP)
-            sheet[: rim.shape[0], column : column + rim.shape[1]] = np.rint(rim)
-            offsets.append(column + 1)
-            column += rim.shape[1]
-        return sheet, np.array(offsets, np.float32)
-
-    def level_of(self, footprint_m: Array) -> NDArray[np.intp]:
-        """Return the level whose blur fits pixels that cover ``footprint_m`` on the floor."""
-        exact = np.log2(np.maximum(footprint_m * BASE_DENSITY, 1.0))
-        return np.clip(np.rint(exact), 0, _LEVELS - 1).astype(np.intp)
+    def _choose_levels(self, distance: float) -> None:
+        self._distance = distance
+        self._scales, self._columns = [], []
+        for part in self._parts:
+            level = np.empty((0, 0), np.intp)
+            if part is not None:
+                footprint = distance * np.sqrt(_spacing(part, 0) * _spacing(part, 1))
+                level = self._texture.level_of(np.where(part.seen, footprint, 1.0))
+            self._scales.append(self._texture.sides[level])
+            self._columns.append(self._texture.columns[level])
 
 
 class Backdrop:
-    """What is seen where nothing has been drawn: the floor below, the ceiling above."""
+    """What is seen where nothing has been drawn: the floor below, the ceiling above.
+
+    Parameters
+    ----------
+    scene : Scene
+        Height and paint of the room.
+    camera : CentralCamera
+        Orientation of the faces on the robot.
+    layout : FaceLayout
+        The faces.
+    origin : PixelOrigin
+        Where their pixels sample.
+    textured : bool
+        Paint with texture, or in one shade each.
+    """
 
     def __init__(
         self,
@@ -92,82 +138,74 @@ class Backdrop:
         camera: CentralCamera,
         layout: FaceLayout,
         origin: PixelOrigin,
-        floor: bool,
+        textured: bool,
     ) -> None:
-        finish = scene.room.floor
-        contrast = finish.contrast if floor else 0.0
-        self._texture = FloorTexture(finish.shade, contrast, scene.seed)
-        self._ceiling = [
-            np.full((f.height, f.width), round(255 * scene.room.ceiling_shade), np.uint8)
-            for f in layout.faces
+        room = scene.room
+        rays = [face.rays(origin) @ camera.rotation.T for face in layout.faces]
+        self._plain = [
+            _two_shades(r, 255 * room.floor.shade, 255 * room.ceiling.shade) for r in rays
         ]
-        self._parts = [_floor_part(face, camera, origin) for face in layout.faces]
-        self._height_m = math.nan
-        self._pose = Pose(0.0, 0.0, 0.0)
-        self._scales: list[Single] = []
-        self._columns: list[Single] = []
+        self._ceiling_m = room.height_m
+        self._planes: list[_Plane] = []
+        if textured:
+            floor = PlaneTexture(room.floor, [scene.seed, 0])
+            ceiling = PlaneTexture(room.ceiling, [scene.seed, 1])
+            self._planes = [_Plane(floor, rays, -1), _Plane(ceiling, rays, 1)]
 
-    def move(self, pose: Pose, height_m: float) -> None:
-        """Take the camera's place for the next frame."""
-        self._pose = pose
-        if height_m != self._height_m:
-            self._height_m = height_m
-            self._choose_levels()
+    def fill(self, index: int, picture: Image, empty: Mask, pose: Pose, height_m: float) -> None:
+        """Paint floor and ceiling into a face's picture where it is ``empty``."""
+        backdrop = self._plain[index]
+        distances = (height_m, self._ceiling_m - height_m)
+        for plane, distance in zip(self._planes, distances, strict=False):
+            plane.paint(index, backdrop, pose, distance)
+        cv2.copyTo(backdrop, empty.view(np.uint8), dst=picture)
 
-    def fill(self, index: int, picture: Image, empty: Image) -> None:
-        """Paint floor and ceiling into a face's picture where the mask ``empty`` is not 0."""
-        backdrop = self._ceiling[index]
-        part = self._parts[index]
-        if part is not None:
-            looked_up = self._look_up(index, part)
-            cv2.copyTo(looked_up, part.below.view(np.uint8), dst=backdrop[part.rows])
-        cv2.copyTo(backdrop, empty, dst=picture)
 
-    def _look_up(self, index: int, part: _FloorPart) -> Image:
-        s = np.float32(math.sin(self._pose.phi) * self._height_m)
-        c = np.float32(math.cos(self._pose.phi) * self._height_m)
-        u = _fraction((c * part.x - s * part.y + np.float32(self._pose.x)) / _PERIOD_M)
-        v = _fraction((s * part.x + c * part.y + np.float32(self._pose.y)) / _PERIOD_M)
-        scale = self._scales[index]
-        u = u * scale + self._columns[index]
-        v = v * scale + np.float32(0.5)
-        return np.asarray(cv2.remap(self._texture.sheet, u, v, cv2.INTER_LINEAR), np.uint8)
+def _sheet(levels: list[Single]) -> tuple[Image, Single]:
+    """Lay levels side by side, each with a wrapped rim of one texel."""
+    width = sum(level.shape[1] + 2 for level in levels)
+    sheet = np.zeros((levels[0].shape[0] + 2, width), np.uint8)
+    columns, start = [], 0
+    for level in levels:
+        rim = cv2.copyMakeBorder(level, 1, 1, 1, 1, cv2.BORDER_WRAP)
+        sheet[: rim.shape[0], start : start + rim.shape[1]] = np.rint(rim)
+        columns.append(start + 0.5)
+        start += rim.shape[1]
+    return sheet, np.array(columns, np.float32)
 
-    def _choose_levels(self) -> None:
-        self._scales, self._columns = [], []
-        for part in self._parts:
-            if part is None:
-                self._scales.append(np.empty(0, np.float32))
-                self._columns.append(np.empty(0, np.float32))
-                continue
-            x, y = part.x * self._height_m, part.y * self._height_m
-            across = np.hypot(np.gradient(x, axis=1), np.gradient(y, axis=1))
-            along = np.hypot(np.gradient(x, axis=0), np.gradient(y, axis=0))
-            level = self._texture.level_of(np.where(part.below, np.sqrt(across * along), 1.0))
-            sides = np.array([lv.shape[0] for lv in self._texture.levels], np.float32)
-            self._scales.append(sides[level])
-            # The first texel's centre is half a texel from its edge, the sheet has a rim.
-            self._columns.append(self._texture.offsets[level] - np.float32(0.5))
+
+def _smooth(level: Single, sigma: float) -> Single:
+    wrapped = cv2.copyMakeBorder(level, 8, 8, 8, 8, cv2.BORDER_WRAP)
+    return np.asarray(cv2.GaussianBlur(wrapped, (0, 0), sigma)[8:-8, 8:-8], np.float32)
 
 
 def _fraction(value: Single) -> Single:
     return value - np.floor(value)
 
 
-def _floor_part(face: Face, camera: CentralCamera, origin: PixelOrigin) -> _FloorPart | None:
-    rays = face.rays(origin) @ camera.rotation.T
-    below = rays[..., 2] < -1e-3
-    rows = np.flatnonzero(below.any(axis=1))
+def _spacing(part: _Part, axis: int) -> Array:
+    """Return how far apart neighbouring pixels meet the plane at unit distance."""
+    return np.hypot(np.gradient(part.x, axis=axis), np.gradient(part.y, axis=axis))
+
+
+def _two_shades(rays: Array, below: float, above: float) -> Image:
+    return np.where(rays[..., 2] < 0.0, round(below), round(above)).astype(np.uint8)
+
+
+def _part(rays: Array, sign: int) -> _Part | None:
+    """Return the part of a face with ``rays`` (H, W, 3) that may look at a plane."""
+    seen = sign * rays[..., 2] > _LEVEL_RAY
+    rows = np.flatnonzero(seen.any(axis=1))
     if len(rows) == 0:
         return None
     # Two rows at least: a footprint is measured between neighbours.
-    first = min(int(rows[0]), face.height - 2)
+    first = min(int(rows[0]), len(rays) - 2)
     used = slice(first, max(int(rows[-1]) + 1, first + 2))
-    rays, below = rays[used], np.ascontiguousarray(below[used])
-    depth = np.where(below, -rays[..., 2], 1.0)
-    return _FloorPart(
+    rays, seen = rays[used], np.ascontiguousarray(seen[used])
+    depth = np.where(seen, np.abs(rays[..., 2]), 1.0)
+    return _Part(
         used,
         (rays[..., 0] / depth).astype(np.float32),
         (rays[..., 1] / depth).astype(np.float32),
-        below,
+        seen,
     )

@@ -23,7 +23,7 @@ class SimOptions(Document):
     blur_px : Gaussian blur of the optics (px).
     exposure : amplitude of slow, smooth changes of the image's gain (0.2: between 0.8 and 1.2).
     detail : rendered pixels per image pixel, along a line; more costs time quadratically.
-    show_floor : draw the floor's texture; without it the floor is one shade.
+    show_floor : draw the textures of floor and ceiling; without, each is one shade.
     gui : show PyBullet's own window.
     """
 

@@ -72,7 +72,7 @@ class BulletRenderer(Renderer):
     detail : float
         Face pixels per image pixel (see `plan_faces`).
     floor : bool
-        Draw the floor's texture.
+        Draw the textures of floor and ceiling.
     """
 
     def __init__(
@@ -104,12 +104,11 @@ class BulletRenderer(Renderer):
         centre = np.array([pose.x, pose.y, height_m])
         rotation = heading_matrix(pose.phi) @ self.camera.rotation
         self._drawn.prepare(pose, height_m)
-        self._backdrop.move(pose, height_m)
         for i, face in enumerate(self.layout.faces):
             colour, depth = self._picture(i, centre, rotation @ face.rotation)
             place = self._atlas[face.row : face.row + face.height, : face.width]
             cv2.cvtColor(colour, cv2.COLOR_RGBA2GRAY, dst=place)
-            self._backdrop.fill(i, place, (depth > _EMPTY_DEPTH).view(np.uint8))
+            self._backdrop.fill(i, place, depth > _EMPTY_DEPTH, pose, height_m)
         image = self.layout.compose(self._atlas)
         image[self.layout.outside] = 0
         return image

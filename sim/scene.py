@@ -67,7 +67,7 @@ class Room(Document):
     tile_m: Positive = 2.5
     walls: Finish = Finish()
     floor: Paint = Paint(shade=0.36, contrast=0.12)
-    ceiling_shade: Shade = 0.8
+    ceiling: Paint = Paint(shade=0.7, contrast=0.12)
 
     @model_validator(mode="after")
     def _ordered(self) -> Room:
