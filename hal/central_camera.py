@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
 from robots.documents import Document, load, suggestion
 from robots.errors import InputError
@@ -25,6 +25,15 @@ from robots.errors import InputError
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Degrees = Annotated[float, Field(ge=0, le=180)]
+
+
+def _not_zero(focal: float) -> float:
+    if focal == 0.0:
+        raise ValueError("a focal length cannot be 0")
+    return focal
+
+
+Focal = Annotated[float, AfterValidator(_not_zero)]
 
 # Columns are the camera's x, y, z axes in robot coordinates (right, forward, up).
 _MOUNTINGS: dict[str, Array] = {
@@ -47,8 +56,8 @@ class CentralCamera(Document):
     width: Annotated[int, Field(gt=0)]
     height: Annotated[int, Field(gt=0)]
     xi: Annotated[float, Field(ge=0)]
-    fx: float
-    fy: float
+    fx: Focal
+    fy: Focal
     cx: float
     cy: float
     skew: float = 0.0
@@ -58,6 +67,12 @@ class CentralCamera(Document):
     roll_deg: float = 0.0
     min_polar_deg: Degrees = 0.0
     max_polar_deg: Degrees = 90.0
+
+    @model_validator(mode="after")
+    def _field_not_empty(self) -> CentralCamera:
+        if self.min_polar_deg >= self.max_polar_deg:
+            raise ValueError("min_polar_deg must be less than max_polar_deg")
+        return self
 
     # --- geometry in the camera's own axes -------------------------------------------------
 
