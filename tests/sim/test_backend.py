@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hal.central_camera import load_camera
-from hal.types import Pose, Velocity
+from hal.types import Pose
 from robots import load_robot
 from sim.backend import SimBackend
 from sim.options import SimOptions
@@ -34,7 +34,9 @@ def backend(start: Pose = START, **options: object) -> SimBackend:
 def test_teaching_visits_the_target_and_returns() -> None:
     with backend() as world:
         frames = world.teach(2)
-        assert [frame.image.shape for frame in frames if frame.image is not None] == [(300, 400)] * 2
+        assert [frame.image.shape for frame in frames if frame.image is not None] == [
+            (300, 400)
+        ] * 2
         assert not np.array_equal(frames[0].image, frames[1].image)
         truth = world.truth()
         assert truth is not None
