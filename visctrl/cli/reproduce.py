@@ -64,6 +64,8 @@ def _run(entry: Entry, out: Path, workers: int, bar: Progress) -> list[Row]:
 
     def announce(total: int, done: int) -> None:
         bar.update(task, total=total, completed=done)
+        if not bar.console.is_terminal:  # a log shows no bar
+            bar.console.print(f"{entry.name}: {done} of {total} runs", highlight=False)
 
     return entry.run(Bench(out / entry.name, workers, announce))
 
