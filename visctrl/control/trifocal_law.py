@@ -16,6 +16,9 @@ from visctrl.control.sliding_mode import switching
 from visctrl.estimation.estimates import TensorEstimate
 from visctrl.geometry.trifocal import T112, T121, T122, T211, T212, T221, T222
 
+#: Largest curvature of step 1 (1/m), and the turning rate allowed at a standstill (rad/s).
+_CURVATURE, _FREE_TURN = 2.5, 0.03
+
 
 class Gains(NamedTuple):
     """Parameters of the law; rates in 1/s, the rest dimensionless unless said."""
@@ -129,6 +132,16 @@ def orientation_step(seen: Situation, gains: Gains) -> Velocity:
     """Return the velocity of step 2 as published: (3.12), and the bounded v on ξ1."""
     v = gains.k_v_m_s * switching(seen.outputs.xi_1, gains.boundary_layer)
     return Velocity(v, gains.lambda_omega * seen.tilt)
+
+
+def without_spinning(wanted: Velocity) -> Velocity:
+    """Bound a velocity's curvature: turning faster than driving does not close a lateral error.
+
+    Close to the goal the lateral error over the small distance left orders violent turns, which
+    end in a heading far off and, with an imperfect calibration, in a new lateral error.
+    """
+    most = _FREE_TURN + _CURVATURE * abs(wanted.v)
+    return Velocity(wanted.v, max(-most, min(most, wanted.omega)))
 
 
 def settling_step(seen: Situation, gains: Gains) -> Velocity:

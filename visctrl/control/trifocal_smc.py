@@ -22,6 +22,7 @@ from visctrl.control.trifocal_law import (
     orientation_step,
     position_step,
     settling_step,
+    without_spinning,
 )
 from visctrl.estimation.estimates import TensorEstimate
 from visctrl.plugins import Context, Controller, Decision, Estimate, Health, Signal
@@ -63,6 +64,7 @@ class TrifocalSmcOptions(Document):
     tolerance_m, tolerance_deg : what counts as there, by the robot's own measurement.
     steady_ticks : over how many ticks at a standstill that is averaged.
     retreats : how often to back up and come again when the lateral error stays too large.
+    retreat_m : how far back at least.
     whole_units : round to whole mm/s and deg/s, carrying the remainder.
     """
 
@@ -86,7 +88,7 @@ class TrifocalSmcOptions(Document):
     tolerance_m: Positive = 0.01
     tolerance_deg: Positive = 0.3
     steady_ticks: Annotated[int, Field(ge=2)] = 8
-    retreats: Annotated[int, Field(ge=0, le=10)] = 1
+    retreats: Annotated[int, Field(ge=0, le=10)] = 2
     retreat_m: Positive = 0.4
     whole_units: bool = True
 
@@ -122,6 +124,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         self._sent = STANDSTILL
         self._advanced = 0.0
         self._retreats = 0
+        self._room = 0.0
         self._values: dict[str, float] = {}
         self._begin_position(None)
 
@@ -248,6 +251,8 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         if damping > 0.0:
             damping = max(damping, _DAMPING_SIGMAS * seen.lateral_sd)
         wanted = position_step(seen, reference, rate, self._gains._replace(damping=damping))
+        if not self._published:
+            wanted = without_spinning(wanted)
         # Where the robot is held back by its limits, the reference waits for it.
         _, factor = self._shaper.bounded(wanted)
         self._progress += dt * (1.0 if self._published else factor)
@@ -310,11 +315,13 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         if certain and self._retreats < options.retreats:
             self._retreats += 1
             self._phase = "retreat"
+            # Room for a way back whose slope stays small.
+            self._room = min(max(options.retreat_m, 6.0 * abs(right)), 3.0 * options.retreat_m)
         return False
 
     def _retreat(self, seen: Situation) -> Velocity:
         """Return the velocity straight back; step 1 begins again from there."""
-        if seen.forward * seen.scale >= self.options.retreat_m:
+        if seen.forward * seen.scale >= self._room:
             self._sent = STANDSTILL
             self._begin_position(seen, 0.0)
             return STANDSTILL
