@@ -57,6 +57,8 @@ class SimBase(Base):
 
     def command(self, velocity: Velocity) -> Velocity:
         """See `Base.command`."""
+        if self._world.closed:
+            raise LinkError("the simulation has been closed")
         now = self._clock.synchronise()
         check_link(self._faults, now)
         return self._world.actuation.request(now, velocity)
@@ -141,14 +143,7 @@ class SimBackend(Backend):
 
     def close(self) -> None:
         """See `Backend.close`."""
-        if self._world is None:
-            return
-        try:
-            self.base.stop()
-        except (LinkError, AttributeError):
-            # Nothing to stop: the link is dead on purpose, or opening failed half-way.
-            pass
-        finally:
+        if self._world is not None:
             self._world.close()
             self._world = None
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -44,8 +45,8 @@ class PlaneTexture:
     columns : where each begins in the sheet, in the coordinates of `cv2.remap`.
     """
 
-    def __init__(self, paint: Paint, seed: list[int]) -> None:
-        noise = periodic_noise(np.random.default_rng(seed), _SIDE_TEXELS)
+    def __init__(self, paint: Paint, seed: int, which: int) -> None:
+        noise = periodic_noise(np.random.default_rng([seed, which]), _SIDE_TEXELS)
         grey = np.clip(255.0 * (paint.shade + paint.contrast * np.tanh(noise)), 0.0, 255.0)
         levels = [_smooth(grey.astype(np.float32), _SIGMA_TEXELS)]
         while len(levels) < _LEVELS:
@@ -60,6 +61,12 @@ class PlaneTexture:
         """Return the level whose blur fits pixels that cover ``footprint_m`` on the plane."""
         exact = np.log2(np.maximum(footprint_m * _SIDE_TEXELS / _PERIOD_M, 1.0))
         return np.clip(np.rint(exact), 0, _LEVELS - 1).astype(np.intp)
+
+
+@lru_cache(maxsize=8)
+def plane_texture(paint: Paint, seed: int, which: int) -> PlaneTexture:
+    """Return a texture, the same one for the same arguments: it takes a while to make."""
+    return PlaneTexture(paint, seed, which)
 
 
 @dataclass(frozen=True)
@@ -148,8 +155,8 @@ class Backdrop:
         self._ceiling_m = room.height_m
         self._planes: list[_Plane] = []
         if textured:
-            floor = PlaneTexture(room.floor, [scene.seed, 0])
-            ceiling = PlaneTexture(room.ceiling, [scene.seed, 1])
+            floor = plane_texture(room.floor, scene.seed, 0)
+            ceiling = plane_texture(room.ceiling, scene.seed, 1)
             self._planes = [_Plane(floor, rays, -1), _Plane(ceiling, rays, 1)]
 
     def fill(self, index: int, picture: Image, empty: Mask, pose: Pose, height_m: float) -> None:

@@ -20,7 +20,7 @@ from sim.engine import pybullet
 Array = NDArray[np.float64]
 
 #: Force per slip speed of one tyre (N s/m); stiff, yet stable at the physics' step.
-_STIFFNESS_N_S_M = 400.0
+_STIFFNESS_N_S_M = 700.0
 _FRICTION = 0.8
 _GRAVITY_M_S2 = 9.81
 

@@ -40,6 +40,7 @@ class World:
         self._sensor = sensor
         self._options = options
         self._mount = mount
+        self.closed = False
         self._time = 0.0
         self._steps = 0
         self._sequence = 0
@@ -79,7 +80,9 @@ class World:
         return Frame(stamp, self._sequence, self._sensor.expose(ideal, stamp, self._sequence))
 
     def close(self) -> None:
-        """Release both PyBullet clients."""
+        """Stop the robot and release both PyBullet clients."""
+        self.closed = True
+        self.actuation.halt()
         self._renderer.close()
         self.physics.close()
 

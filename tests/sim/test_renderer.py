@@ -1,0 +1,190 @@
+"""Rendered pictures lie where the camera model says, for every camera and renderer."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from hal.central_camera import CentralCamera, camera_names, load_camera
+from hal.errors import InputError
+from hal.types import Pose
+from sim import renderer as renderer_module
+from sim.accuracy import checker_room, measure_corners
+from sim.engine import egl_works
+from sim.frames import heading_matrix
+from sim.renderer import BulletRenderer, Drawer, choose_drawer
+from sim.scene import Item, Paint, Room, Scene
+
+pytestmark = pytest.mark.sim
+
+POSES = [Pose(0.2, -0.3, 0.4), Pose(-0.7, 0.6, 2.2), Pose(0.8, 0.5, -1.3), Pose(-0.6, -0.8, -2.6)]
+HEIGHT_M = 0.75
+TILTED = load_camera("hypercatadioptric").altered(
+    name="tilted mirror image", fx=-117.0, skew=2.0, pitch_deg=5.0, roll_deg=-3.0, yaw_deg=30.0
+)
+UPWARD = load_camera("fisheye").altered(name="upward fisheye", optical_axis="up", xi=1.6)
+SCENE = Scene(
+    name="small",
+    seed=3,
+    room=Room(x_m=(-3, 3), y_m=(-3, 3), height_m=2.5),
+    items=(Item(name="box", at_m=(0.0, 1.8), size_m=(0.6, 0.4, 1.0)),),
+)
+
+
+def drawn(camera: CentralCamera, pose: Pose, scene: Scene = SCENE, **options: object) -> np.ndarray:
+    view = BulletRenderer(scene, camera, **options)  # type: ignore[arg-type]
+    try:
+        return view.render(pose, HEIGHT_M)
+    finally:
+        view.close()
+
+
+def check_corners(
+    camera: CentralCamera, drawer: Drawer, poses: list[Pose], coverage: float
+) -> None:
+    view = BulletRenderer(checker_room(), camera, drawer)
+    try:
+        found = measure_corners(view, camera, poses)
+    finally:
+        view.close()
+    assert len(found.errors) > 100
+    assert found.percentile(0.95) <= 0.2
+    # A wrong pixel convention would shift everything by half a pixel.
+    assert np.abs(found.errors.mean(axis=0)).max() < 0.04
+    assert found.coverage > coverage
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [*(load_camera(name) for name in camera_names()), TILTED, UPWARD],
+    ids=lambda camera: camera.name,
+)
+def test_known_corners_lie_where_the_model_says(camera: CentralCamera) -> None:
+    check_corners(camera, "tiny", POSES, 0.9 if camera.xi > 0 else 0.6)
+
+
+@pytest.mark.parametrize("name", ["hypercatadioptric", "perspective"])
+def test_known_corners_lie_there_with_egl_too(name: str) -> None:
+    if not egl_works():
+        pytest.skip("no EGL driver here")
+    check_corners(load_camera(name), "egl", POSES[:2], 0.4)
+
+
+@pytest.fixture(scope="module")
+def hyper() -> Iterator[BulletRenderer]:
+    view = BulletRenderer(SCENE, load_camera("hypercatadioptric").resized(400, 300))
+    yield view
+    view.close()
+
+
+def test_the_same_view_gives_the_same_bits(hyper: BulletRenderer) -> None:
+    first = hyper.render(POSES[0], HEIGHT_M)
+    other = drawn(hyper.camera, POSES[0])
+    assert first.dtype == np.uint8
+    assert first.shape == (300, 400)
+    assert np.array_equal(first, other)
+
+
+def test_outside_the_mirror_it_is_black_and_inside_it_is_not(hyper: BulletRenderer) -> None:
+    image = hyper.render(POSES[0], HEIGHT_M)
+    v, u = np.mgrid[0:300, 0:400]
+    _, valid = hyper.camera.unproject(np.stack([u, v], axis=-1).astype(float))
+    assert (image[~valid] == 0).all()
+    assert image[valid].min() > 0
+    assert image[valid].std() > 15
+
+
+def test_turning_the_robot_turns_a_mirrors_image(hyper: BulletRenderer) -> None:
+    straight = hyper.render(Pose(0.1, 0.2, 0.0), HEIGHT_M).astype(float)
+    turned = hyper.render(Pose(0.1, 0.2, np.pi), HEIGHT_M).astype(float)
+    half_turn = turned[::-1, ::-1]
+    inside = straight > 0
+    assert np.corrcoef(straight[inside], half_turn[inside])[0, 1] > 0.95
+    assert np.corrcoef(straight[inside], turned[inside])[0, 1] < 0.6
+
+
+@pytest.mark.parametrize("up", [False, True], ids=["floor", "ceiling"])
+def test_floor_and_ceiling_move_as_planes_do(up: bool) -> None:
+    """Points of the plane look alike from two poses, and unlike if the plane is misplaced."""
+    room = SCENE.room.model_copy(
+        update={
+            "floor": Paint(shade=0.5, contrast=0.3),
+            "ceiling": Paint(shade=0.5, contrast=0.3),
+        }
+    )
+    scene = SCENE.model_copy(update={"room": room, "items": ()})
+    camera = load_camera("paracatadioptric").resized(400, 300)
+    a, b = Pose(0.0, 0.0, 0.0), Pose(0.3, -0.2, 0.8)
+    plane = room.height_m if up else 0.0
+    rng = np.random.default_rng(2)
+    # The mirror shows the ceiling from far only, the floor from near.
+    points = rng.uniform(-2.9, 2.9, (6000, 2)) if up else rng.uniform(-1.8, 1.8, (6000, 2))
+    images = {pose: drawn(camera, pose, scene) for pose in (a, b)}
+
+    def look(pose: Pose, height: float) -> tuple[np.ndarray, np.ndarray]:
+        world = np.column_stack([points, np.full(len(points), height)])
+        rays = (world - [pose.x, pose.y, HEIGHT_M]) @ heading_matrix(pose.phi)
+        pixels, seen = camera.robot_pixels(rays)
+        where = np.rint(np.nan_to_num(pixels)).astype(int)
+        where = np.clip(where, 0, [camera.width - 1, camera.height - 1])
+        return images[pose][where[:, 1], where[:, 0]].astype(float), seen
+
+    def likeness(height: float) -> float:
+        (seen_a, ok_a), (seen_b, ok_b) = look(a, height), look(b, height)
+        both = ok_a & ok_b
+        assert both.sum() > 300
+        return float(np.corrcoef(seen_a[both], seen_b[both])[0, 1])
+
+    assert likeness(plane) > 0.85
+    misplaced = plane - (0.4 if up else 0.15)
+    assert likeness(misplaced) < likeness(plane) - 0.1
+
+
+def test_without_its_texture_the_floor_is_one_shade() -> None:
+    camera = load_camera("paracatadioptric").resized(400, 300)
+    image = drawn(camera, Pose(0, 0, 0), floor=False)
+    near = np.array([[0.9, 0.0, -0.75], [-0.9, 0.1, -0.75], [0.1, -1.0, -0.75]])
+    pixels, _ = camera.robot_pixels(near)
+    shades = image[tuple(np.rint(pixels[:, ::-1]).astype(int).T)]
+    assert np.ptp(shades) == 0
+
+
+def test_a_moved_item_is_seen_where_it_is(hyper: BulletRenderer) -> None:
+    pose = Pose(0.0, 0.0, 0.0)
+    before = hyper.render(pose, HEIGHT_M)
+    hyper.place("box", Pose(1.9, -0.5, 0.7))
+    after = hyper.render(pose, HEIGHT_M)
+    hyper.place("box", Pose(0.0, 1.8, 0.0))
+    assert np.array_equal(hyper.render(pose, HEIGHT_M), before)
+    # The same as a scene that has it there from the beginning.
+    item = SCENE.items[0].model_copy(update={"at_m": (1.9, -0.5), "yaw_deg": np.degrees(0.7)})
+    there = drawn(hyper.camera, pose, SCENE.model_copy(update={"items": (item,)}))
+    assert np.mean(np.abs(after.astype(float) - there) > 8) < 0.003
+    assert np.mean(np.abs(after.astype(float) - before) > 8) > 0.01
+
+
+def test_a_finer_or_coarser_layout_shows_the_same(hyper: BulletRenderer) -> None:
+    image = hyper.render(POSES[0], HEIGHT_M).astype(float)
+    for detail in (0.7, 1.5):
+        other = drawn(hyper.camera, POSES[0], detail=detail).astype(float)
+        inside = image > 0
+        assert np.corrcoef(image[inside], other[inside])[0, 1] > 0.95
+
+
+def test_egl_is_refused_or_replaced_where_it_does_not_work(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(renderer_module, "egl_works", lambda: False)
+    assert choose_drawer("tiny") == "tiny"
+    assert choose_drawer("auto") == "tiny"
+    assert "EGL does not work here" in capsys.readouterr().err
+    with pytest.raises(InputError, match="renderer 'egl' does not work"):
+        choose_drawer("egl")
+    monkeypatch.setattr(renderer_module, "egl_works", lambda: True)
+    assert choose_drawer("auto") == "egl"
+
+
+def test_closing_twice_is_harmless() -> None:
+    view = BulletRenderer(SCENE, load_camera("perspective").resized(160, 120))
+    view.close()
+    view.close()
