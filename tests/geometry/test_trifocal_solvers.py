@@ -187,7 +187,7 @@ def test_sensitivity_to_the_initial_view_by_refitting():
     phi = INITIAL[2]
     jacobian = np.array([[-np.sin(phi)], [np.cos(phi)], [0.0], [0.0]])
     fit = trifocal_fit.refine(relation.within(trifocal.current_view_basis(p1)), p1, 5e-4)
-    predicted = trifocal_fit.sensitivity(relation, fit, p1, jacobian)[:, 0]
+    predicted = trifocal_fit.coupling(relation, fit, p1, jacobian).sensitivity[:, 0]
     step = 5e-3
     moved = []
     for sign in (1.0, -1.0):
@@ -196,6 +196,22 @@ def test_sensitivity_to_the_initial_view_by_refitting():
         )
         moved.append(trifocal_fit.refine(relation.within(basis), fit.z, 5e-4).z)
     np.testing.assert_allclose(predicted, (moved[0] - moved[1]) / (2 * step), rtol=0.1, atol=0.02)
+
+
+def test_coupling_leads_back_to_the_true_initial_view():
+    """A fit made with φ1 wrong by 2 degrees says by how much it is wrong."""
+    relation = seen(3, 200, 5e-4)
+    target = view_1()[2:]
+    phi = INITIAL[2] + np.radians(2.0)
+    for _ in range(4):
+        p1 = trifocal.view_parameters(phi, target)
+        jacobian = np.array([[-np.sin(phi)], [np.cos(phi)], [0.0], [0.0]])
+        fit = trifocal_fit.refine(relation.within(trifocal.current_view_basis(p1)), p1, 5e-4)
+        coupled = trifocal_fit.coupling(relation, fit, p1, jacobian)
+        phi += coupled.gradient[0] / coupled.information[0, 0]
+    deviation = coupled.information[0, 0] ** -0.5
+    assert np.degrees(deviation) < 0.2
+    assert abs(phi - INITIAL[2]) < 3.0 * deviation
 
 
 def test_views_that_only_turn_are_identical():

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from hal.types import Velocity
 from robots.unicycle import relative_pose
-from visctrl.estimation.initial_view import InitialView
+from visctrl.estimation.initial_from_bearings import InitialFromBearings
+from visctrl.estimation.initial_view import InitialView, InitialViewFilter
 from visctrl.estimation.scale import DeadReckoning, PathScale
 from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
 from visctrl.geometry.planar import PlanarMotion, ransac_planar_motion
@@ -24,7 +25,7 @@ from visctrl.geometry.trifocal import (
     trilinear,
     view_parameters,
 )
-from visctrl.geometry.trifocal_fit import Fit, refine, sensitivity, view_jacobian, view_of
+from visctrl.geometry.trifocal_fit import Coupling, Fit, refine, view_jacobian, view_of
 from visctrl.geometry.trifocal_solvers import identical_views, ransac
 from visctrl.plugins import Context, Health, Views
 
@@ -45,7 +46,8 @@ class ConstrainedFit(TensorMethod):
 
     def __init__(self, options: TensorOptions, context: Context) -> None:
         super().__init__(options, context)
-        self._initial: InitialView | None = None
+        self._initial: InitialViewFilter | None = None
+        self._bearings = InitialFromBearings(options, context)
         self._reckoning = DeadReckoning(context.limits, context.camera_forward_m)
         self._scale = PathScale()
         # Position and heading in the initial view's frame: as driven, and as last seen.
@@ -67,14 +69,12 @@ class ConstrainedFit(TensorMethod):
 
     def measure(self, views: Views) -> Measurement:
         """Return the tensor of the current view."""
-        initial = self._initial
-        if initial is None:
-            if identical_views(views.initial, views.target, views.sigma):
-                return self._turned_only(views)
-            motion = self._motion(views.initial, views)
-            if motion.health is not Health.OK:
-                return Measurement.none(motion.health, f"initial and target view: {motion.reason}")
-            initial = self._initial = InitialView.of(motion)
+        if self._initial is None:
+            found = self._find_initial(views)
+            if isinstance(found, Measurement):
+                return found
+            self._initial = InitialViewFilter(found)
+        initial = self._initial.view
         relation = trilinear(views.initial, views.current, views.target)
         fit, agreeing = self._fit(relation.within(initial.basis), initial, views.sigma)
         if agreeing.mean() < self.options.min_inliers:
@@ -84,7 +84,26 @@ class ConstrainedFit(TensorMethod):
         if not math.isfinite(float(target.sum())):
             return Measurement.none(Health.DEGENERATE, "features clustered: no pose determined")
         self._follow(initial, heading, target, fit)
-        return self._measurement(initial, relation, fit, int(agreeing.sum()))
+        coupled = self._initial.update(relation, fit)
+        uncertainty = self._initial.view.covariance
+        if not np.isfinite(uncertainty).all():
+            return Measurement.none(Health.DEGENERATE, "initial view not determined yet")
+        return self._measurement(initial, uncertainty, coupled, fit, int(agreeing.sum()))
+
+    def _find_initial(self, views: Views) -> InitialView | Measurement:
+        """Return the initial view, or why this tick has none (or needs none)."""
+        if identical_views(views.initial, views.target, views.sigma):
+            return self._turned_only(views)
+        reason = "elevations are not used"
+        if self.options.elevations:
+            motion = self._motion(views.initial, views)
+            if motion.health is Health.OK:
+                return InitialView.of(motion)
+            reason = motion.reason
+        found = self._bearings.find(views, self._driven, self._turned)
+        if isinstance(found, InitialView):
+            return found
+        return Measurement.none(Health.DEGENERATE, f"initial and target view: {reason}; {found}")
 
     def _motion(self, rays: Array, views: Views) -> PlanarMotion:
         """Return the motion from a view with these rays to the target's."""
@@ -172,16 +191,15 @@ class ConstrainedFit(TensorMethod):
         self._scale.update(self._driven, self._velocity, seen, seen_sd)
 
     def _measurement(
-        self, initial: InitialView, relation: Trilinear, fit: Fit, inliers: int
+        self, initial: InitialView, uncertainty: Array, coupled: Coupling, fit: Fit, inliers: int
     ) -> Measurement:
         # Lengths in units of the initial distance: T121 has that unit too.
         z = fit.z / np.hypot(fit.z[0], fit.z[1])
         basis = initial.basis
         tensor = basis @ z
         covariance = basis @ fit.covariance @ basis.T
-        by_initial = sensitivity(relation, fit, initial.parameters, initial.jacobian)
-        shift = basis @ by_initial + initial_view_basis(fit.z) @ initial.jacobian
-        covariance = covariance + shift @ initial.covariance @ shift.T
+        shift = basis @ coupled.sensitivity + initial_view_basis(fit.z) @ initial.jacobian
+        covariance = covariance + shift @ uncertainty @ shift.T
         # The covariance is that of the unit z; bring it to the tensor's scale.
         covariance = covariance / (fit.z[0] ** 2 + fit.z[1] ** 2)
         distance, distance_sd = self._scale.estimate()
@@ -191,7 +209,7 @@ class ConstrainedFit(TensorMethod):
             tensor,
             covariance,
             phi_1=initial.phi,
-            phi_1_sd=math.sqrt(float(initial.covariance[0, 0])),
+            phi_1_sd=math.sqrt(float(uncertainty[0, 0])),
             scale_m=distance * float(tensor[T121]),
             scale_sd_m=distance_sd * abs(float(tensor[T121])),
             inliers=inliers,

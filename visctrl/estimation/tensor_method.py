@@ -25,6 +25,9 @@ class TensorOptions(Document):
         matrix and fits only the current pose; ``refined`` minimises bearing residuals over all
         calibrated tensors; ``linear5`` and ``linear7`` are the published linear solutions with
         and without the calibration constraints.
+    elevations : use how high features are seen to find the initial view at once, before the
+        robot moves. Without it (or where features are level with the camera) bearings find it
+        after some of the way; they do not need ξ or the focal length.
     phi_1 : where the law's φ1 comes from: the initial and target views, 0, or ``phi_1_deg``.
     scale : metric value of T121 from what the robot was told to drive, or ``scale_m``.
     scale_m : the value while nothing better is known (``odometry``) or for good (``given``).
@@ -35,6 +38,7 @@ class TensorOptions(Document):
     """
 
     method: Literal["constrained", "refined", "linear5", "linear7"] = "constrained"
+    elevations: bool = True
     phi_1: Literal["estimated", "zero", "given"] = "estimated"
     phi_1_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
     scale: Literal["odometry", "given"] = "odometry"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,8 +116,21 @@ def view_jacobian(z: Array) -> Array:
     return J
 
 
-def sensitivity(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Array) -> Array:
-    """Return dz/dq (4, m) of a fit with a known initial view p1(q), to first order.
+class Coupling(NamedTuple):
+    """What a fit says about the initial view p1(q) that it takes for granted, to first order.
+
+    sensitivity : (4, m), dz/dq of the fit.
+    information : (m, m), of q, the current view being unknown.
+    gradient : (m,), so that q + information⁻¹ gradient fits the features best.
+    """
+
+    sensitivity: Array
+    information: Array
+    gradient: Array
+
+
+def coupling(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Array) -> Coupling:
+    """Return the coupling of a fit to its initial view.
 
     Parameters
     ----------
@@ -125,13 +139,16 @@ def sensitivity(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: A
     fit : Fit
         Made within ``current_view_basis(view_1)``.
     view_1, view_1_jacobian : (4,), (4, m) arrays
-        The initial view's parameters, and their derivatives by what they depend on.
+        The initial view's parameters, and their derivatives by q.
     """
-    _, by_tensor = sampson_jacobian(relation, current_view_basis(view_1) @ fit.z)
-    by_z = by_tensor @ current_view_basis(view_1)
+    basis = current_view_basis(view_1)
+    _, by_tensor = sampson_jacobian(relation, basis @ fit.z)
+    by_z = by_tensor @ basis
     by_q = by_tensor @ initial_view_basis(fit.z) @ view_1_jacobian
-    weighted = fit.weights[:, None] / fit.spread**2
-    return np.asarray(-fit.covariance @ (weighted * by_z).T @ by_q)
+    weighted = (fit.weights / fit.spread**2)[:, None] * by_q
+    mixed = by_z.T @ weighted
+    shift = -fit.covariance @ mixed
+    return Coupling(shift, by_q.T @ weighted + mixed.T @ shift, -weighted.T @ fit.residuals)
 
 
 def _geman_mcclure(scaled: Array) -> Array:
