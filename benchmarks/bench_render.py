@@ -1,0 +1,120 @@
+"""What one frame of each omnidirectional camera costs, against one plain perspective frame.
+
+Both are 800x600, of the same scene from the same poses, drawn in turn in this process with
+TinyRenderer. The plain one is a single ``getCameraImage`` without a camera model, floor, ceiling
+or noise; the other is all that a simulated camera does. The exit code is 1 if it costs more.
+
+    python benchmarks/bench_render.py [--frames N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from hal.central_camera import load_camera
+from hal.types import Pose
+from robots.unicycle import to_rep103
+from sim.drawn import DrawnScene, TextureFiles
+from sim.engine import connect, disconnect, pybullet
+from sim.imaging import Sensor
+from sim.options import SimOptions
+from sim.renderer import BulletRenderer
+from sim.scene import load_scene
+
+CAMERAS = ("hypercatadioptric", "paracatadioptric", "fisheye")
+WIDTH, HEIGHT = 800, 600
+EYE_M = 0.75
+#: An omnidirectional frame may cost this many plain ones.
+BOUND = 1.0
+
+Draw = Callable[[Pose], object]
+
+
+def plain_frames(options: SimOptions) -> tuple[Draw, int]:
+    """Return a function that draws a plain frame, and the client it draws in."""
+    camera = load_camera("perspective").altered(
+        width=WIDTH, height=HEIGHT, fx=750.0, fy=750.0, cx=399.5, cy=299.5
+    )
+    client = connect()
+    scene = load_scene(options.scene)
+    drawn = DrawnScene(client, scene, camera, TextureFiles.shared(), mipmapped=False)
+    angle = math.degrees(2 * math.atan(HEIGHT / 2 / camera.fy))
+    projection = pybullet.computeProjectionMatrixFOV(angle, WIDTH / HEIGHT, 0.05, 60.0)
+
+    def draw(pose: Pose) -> object:
+        drawn.prepare(pose, EYE_M)
+        x, y, yaw = to_rep103(pose).tolist()
+        ahead = [x + math.cos(yaw), y + math.sin(yaw), EYE_M]
+        view = pybullet.computeViewMatrix([x, y, EYE_M], ahead, [0.0, 0.0, 1.0])
+        return pybullet.getCameraImage(
+            WIDTH,
+            HEIGHT,
+            view,
+            projection,
+            shadow=0,
+            renderer=pybullet.ER_TINY_RENDERER,
+            flags=pybullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=client,
+        )
+
+    return draw, client
+
+
+def camera_frames(name: str, options: SimOptions) -> tuple[Draw, BulletRenderer]:
+    """Return a function that draws and exposes a camera's frame, and its renderer."""
+    camera = load_camera(name)
+    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+    scene = load_scene(options.scene)
+    renderer = BulletRenderer(scene, camera, "tiny", options.detail, options.show_floor)
+    sensor = Sensor(WIDTH, HEIGHT, options.image_noise, options.blur_px, options.exposure, 0)
+    return lambda pose: sensor.expose(renderer.render(pose, EYE_M), 0.0, 1), renderer
+
+
+def timed(draw: Draw, pose: Pose) -> tuple[float, float]:
+    """Return wall and processor time (ms) of one frame."""
+    wall, processor = time.perf_counter(), time.process_time()
+    draw(pose)
+    return 1e3 * (time.perf_counter() - wall), 1e3 * (time.process_time() - processor)
+
+
+def main() -> int:
+    """Print a table and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=15)
+    frames = parser.parse_args().frames
+    options = SimOptions()
+    share = np.linspace(0.0, 1.0, frames)
+    poses = [Pose(-0.55 * (1 - s), -1.35 * (1 - s), -0.6 * (1 - s)) for s in share]
+    plain, client = plain_frames(options)
+    worst = 0.0
+    print(f"{'camera':18} {'wall ms':>8} {'cpu ms':>7} {'plain wall':>11} {'plain cpu':>10} ratio")
+    for name in CAMERAS:
+        draw, renderer = camera_frames(name, options)
+        for pose in poses:
+            # Textures are loaded when they are first shown; that is not a frame's cost.
+            draw(pose), plain(pose)
+        pairs = [(timed(draw, pose), timed(plain, pose)) for pose in poses]
+        ratio = statistics.median(omni[1] / flat[1] for omni, flat in pairs)
+        omni, flat = (np.median([pair[k] for pair in pairs], axis=0) for k in (0, 1))
+        print(
+            f"{name:18} {omni[0]:8.1f} {omni[1]:7.1f} {flat[0]:11.1f} {flat[1]:10.1f} {ratio:5.2f}"
+        )
+        worst = max(worst, ratio)
+        renderer.close()
+    disconnect(client)
+    print(f"largest ratio {worst:.2f}, bound {BOUND:.2f}")
+    return int(worst > BOUND)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
