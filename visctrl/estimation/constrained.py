@@ -30,11 +30,15 @@ from visctrl.geometry.trifocal_solvers import identical_views, ransac
 from visctrl.plugins import Context, Health, Views
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: With a smaller share of agreeing features, a solution is searched from scratch as well.
 _DOUBTFUL = 0.6
 #: Residuals may be spread this many times wider than promised (drift of the tracks).
 _DRIFT = 3.0
+#: Residuals so many times wider than promised make the initial view doubtful; it is then
+#: searched anew every so many ticks.
+_CONTRADICTION, _RECONSIDER = 2.5, 10
 
 
 class ConstrainedFit(TensorMethod):
@@ -56,6 +60,7 @@ class ConstrainedFit(TensorMethod):
         self._turned = 0.0
         self._moved = np.zeros(3)
         self._view: Array | None = None
+        self._doubts = 0
 
     def predict(self, sent: Velocity, dt: float) -> None:
         """Advance the dead-reckoned path, along the heading that was last seen."""
@@ -74,9 +79,11 @@ class ConstrainedFit(TensorMethod):
             if isinstance(found, Measurement):
                 return found
             self._initial = InitialViewFilter(found)
-        initial = self._initial.view
         relation = trilinear(views.initial, views.current, views.target)
-        fit, agreeing = self._fit(relation.within(initial.basis), initial, views.sigma)
+        fit, agreeing = self._fit(relation, self._initial.view, views.sigma)
+        if fit.spread > _CONTRADICTION * views.sigma:
+            fit, agreeing = self._reconsidered(views, relation, fit, agreeing)
+        initial = self._initial.view
         if agreeing.mean() < self.options.min_inliers:
             share = f"{int(agreeing.sum())} of {len(views)} features agree on a pose"
             return Measurement.none(Health.DEGENERATE, f"features disagree: {share}")
@@ -143,10 +150,9 @@ class ConstrainedFit(TensorMethod):
             spread=views.sigma,
         )
 
-    def _fit(
-        self, relation: Trilinear, initial: InitialView, sigma: float
-    ) -> tuple[Fit, NDArray[np.bool_]]:
+    def _fit(self, relation: Trilinear, initial: InitialView, sigma: float) -> tuple[Fit, Mask]:
         """Return the fit that starts from the prediction, or a better one from scratch."""
+        relation = relation.within(initial.basis)
         start = self._predicted(initial)
         fit = refine(relation, start, sigma)
         agreeing = self._agreeing(relation, fit, sigma)
@@ -167,7 +173,29 @@ class ConstrainedFit(TensorMethod):
         others = self._agreeing(relation, other, sigma)
         return (other, others) if others.sum() > agreeing.sum() else (fit, agreeing)
 
-    def _agreeing(self, relation: Trilinear, fit: Fit, sigma: float) -> NDArray[np.bool_]:
+    def _reconsidered(
+        self, views: Views, relation: Trilinear, fit: Fit, agreeing: Mask
+    ) -> tuple[Fit, Mask]:
+        """Return a fit with another initial view if the present one was the wrong solution.
+
+        Residuals far above the noise say that the initial view cannot be right; the bearings
+        alone have two solutions, and a poor prior may have led to the false one.
+        """
+        assert self._initial is not None
+        self._doubts += 1
+        if self._doubts % _RECONSIDER != 1:
+            return fit, agreeing
+        prior = self._initial.prior
+        other = self._bearings.find(views, self._driven, self._turned, prior)
+        if not isinstance(other, InitialView):
+            return fit, agreeing
+        others_fit, others = self._fit(relation, other, views.sigma)
+        if others_fit.spread > fit.spread / 2.0 or others.sum() < agreeing.sum():
+            return fit, agreeing
+        self._initial = InitialViewFilter(other)
+        return others_fit, others
+
+    def _agreeing(self, relation: Trilinear, fit: Fit, sigma: float) -> Mask:
         limit = self.options.threshold_sigmas * min(fit.spread, _DRIFT * sigma)
         return np.asarray(np.abs(sampson_residuals(relation, fit.z)) < limit)
 

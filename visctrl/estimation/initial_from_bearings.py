@@ -34,11 +34,14 @@ class InitialFromBearings:
         self._options = options
         self._seed = context.seed
 
-    def find(self, views: Views, driven: Array, turned: float) -> InitialView | str:
+    def find(
+        self, views: Views, driven: Array, turned: float, guess: InitialView | None = None
+    ) -> InitialView | str:
         """Return the initial view, or why it is not known yet.
 
         driven, turned : dead-reckoned position (2,) in m and heading (rad) in the initial
         view's frame.
+        guess : what else is known of the initial view, to choose by.
         """
         if identical_views(views.initial, views.current, views.sigma):
             return "initial and current view are identical: the robot has to move"
@@ -63,7 +66,12 @@ class InitialFromBearings:
         physical = motions[front >= _IN_FRONT]
         if not len(physical):
             return "no motion has the features in front of the camera"
-        best = physical[np.argmin(_mismatch(physical, driven, turned))]
+        mismatch = _mismatch(physical, driven, turned)
+        if guess is not None:
+            bearing = np.arctan2(physical[:, 0, 1], physical[:, 0, 2])
+            mismatch += np.abs(wrap_angle(physical[:, 0, 0] - guess.phi))
+            mismatch += np.abs(wrap_angle(bearing - guess.bearing))
+        best = physical[np.argmin(mismatch)]
         return _judged(relation.take(inliers), best, views.sigma)
 
 

@@ -82,11 +82,16 @@ class InitialViewFilter:
     ----------
     prior : InitialView
         Where to start; infinite variances are allowed.
+
+    Attributes
+    ----------
+    view : InitialView
+        The best one so far.
     """
 
     def __init__(self, prior: InitialView) -> None:
         self.view = prior
-        self._prior = prior
+        self.prior = prior
         variance = prior.covariance
         known = bool(np.isfinite(variance).all())
         self._prior_information = np.linalg.inv(variance) if known else np.zeros((2, 2))
@@ -100,7 +105,7 @@ class InitialViewFilter:
         coupled = coupling(relation, fit, self.view.parameters, self.view.jacobian)
         first = not self._information.any()
         weight = 1.0 if first else 1.0 / _ALIKE
-        deviation = self.view.vector - self._prior.vector
+        deviation = self.view.vector - self.prior.vector
         self._information = self._information + weight * coupled.information
         self._weighted = self._weighted + weight * (
             coupled.information @ deviation + coupled.gradient
@@ -124,5 +129,5 @@ class InitialViewFilter:
         distance2 = float(self._weighted @ (alone - np.linalg.solve(total, self._weighted)))
         doubt = max(1.0, 1.0 + distance2 - _AGREEMENT)
         covariance = np.asarray(np.linalg.inv(prior / doubt + bearings), dtype=np.float64)
-        phi, bearing = self._prior.vector + covariance @ self._weighted
+        phi, bearing = self.prior.vector + covariance @ self._weighted
         self.view = InitialView(float(phi), float(bearing), covariance)
