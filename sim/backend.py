@@ -155,6 +155,16 @@ class SimBackend(Backend):
         world.put(self._start)
         return frames
 
+    def move(self, item: str, at: Pose) -> None:
+        """Move an item of the scene to another place (x, y, φ = its yaw), like an obstacle.
+
+        Raises
+        ------
+        InputError
+            The scene has no such item.
+        """
+        self._opened().move(item, at)
+
     def truth(self) -> Pose | None:
         """See `Backend.truth`."""
         if self._world is None:

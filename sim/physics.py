@@ -9,8 +9,10 @@ from statistics import fmean
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.errors import InputError
 from hal.types import STANDSTILL, Pose, Velocity
 from robots import Robot
+from robots.documents import suggestion
 from robots.unicycle import from_rep103, to_rep103
 from sim.engine import connect, connect_window, disconnect, pybullet
 from sim.frames import TO_ENGINE
@@ -69,6 +71,7 @@ class Physics:
         self._speeds: list[float] = []
         self._tyres = self._skid_tyres() if robot.drive == "skid-steer" else None
         self._window = furnish_window(self.client, scene, self._things.values()) if gui else None
+        self._items = {item.name for item in scene.items}
         self._touching: set[int] = set()
         self._contacts = 0
 
@@ -135,6 +138,8 @@ class Physics:
 
     def move(self, item: str, at: Pose) -> None:
         """Move an item of the scene to another place (x, y, φ = its yaw)."""
+        if item not in self._items:
+            raise InputError(f"the scene has no item '{item}'; {suggestion(item, self._items)}")
         body = self._things[item]
         height = pybullet.getBasePositionAndOrientation(body, physicsClientId=self.client)[0][2]
         pybullet.resetBasePositionAndOrientation(

@@ -64,6 +64,11 @@ class World:
         self._dead_reckoned = _ORIGIN
         self._measured = STANDSTILL
 
+    def move(self, item: str, at: Pose) -> None:
+        """Move an item of the scene (x, y, φ = its yaw), for the robot and for its camera."""
+        self.physics.move(item, at)
+        self._renderer.place(item, at)
+
     def camera_pose(self) -> Pose:
         """Return where the camera is, in the target's frame."""
         ahead = step_exact(self.physics.axle(), self._mount.forward_m, 0.0, 1.0)

@@ -152,6 +152,21 @@ def test_running_into_furniture_is_counted() -> None:
         assert backend.collisions() >= 1
 
 
+def test_an_item_may_be_moved_into_the_way() -> None:
+    with opened(start=Pose(0.0, -3.0, 0.0), image_noise=0.0) as backend:
+        before = pixels(backend.camera.read())
+        backend.move("right column", Pose(0.0, -1.8, 0.0))
+        backend.clock.sleep_until(0.1)
+        after = pixels(backend.camera.read())
+        assert np.mean(np.abs(after.astype(float) - before) > 10) > 0.01
+        for _ in range(60):
+            backend.base.command(Velocity(0.3, 0.0))
+            backend.clock.sleep_until(backend.clock.now() + 0.1)
+        assert backend.collisions() >= 1
+        with pytest.raises(InputError, match=r"no item 'colum'.*right column"):
+            backend.move("colum", Pose(0.0, 0.0, 0.0))
+
+
 def test_a_start_in_furniture_starts_nothing() -> None:
     backend = build(start=Pose(2.6, -2.5, 0.0))
     with pytest.raises(InputError, match="would touch 'right column'"):
