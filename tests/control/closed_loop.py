@@ -55,6 +55,7 @@ class Loop:
         start: tuple[float, float, float],
         mock: MockOptions,
         camera: CentralCamera | None = None,
+        true_camera: CentralCamera | None = None,
         mount: str = "centre",
         seed: int = 0,
     ) -> None:
@@ -62,8 +63,9 @@ class Loop:
         self.camera = camera or load_camera("hypercatadioptric")
         limits = None if mock.ideal else robot.operating
         pose = Pose(start[0], start[1], math.radians(start[2]))
+        true = true_camera or self.camera
         self.backend = MockBackend(
-            robot, self.camera, self.camera, robot.mount(mount), pose, limits, mock, seed, False
+            robot, self.camera, true, robot.mount(mount), pose, limits, mock, seed, False
         )
         offset = robot.mount(mount).forward_m
         self.context = Context(self.camera, limits, offset, PERIOD, seed, True)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from closed_loop import LARGE, REAL, Loop
 
+from hal.central_camera import load_camera
 from hal.mock import MockOptions
 from hal.types import STANDSTILL
 from robots import load_robot
@@ -190,3 +191,25 @@ def test_the_reference_waits_for_a_robot_at_its_limits():
     assert outcome.duration > 5.0 / 0.4
     assert outcome.position < 0.01
     assert math.degrees(abs(outcome.error.phi)) < 0.3
+
+
+def test_a_wrong_calibration_does_not_move_the_goal():
+    """ξ wrong by 0.1 and the focal length by 5 %: the fixed point is where the views agree."""
+    true = load_camera("hypercatadioptric")
+    believed = true.altered(xi=true.xi - 0.1, fx=true.fx * 0.95, fy=true.fy * 0.95)
+    for seed, start in enumerate(short_starts(3, seed=1)):
+        mock = MockOptions(noise_px=0.3, near_m=1.5, far_m=5.0, actuation=REAL)
+        loop = Loop(start, mock, believed, true_camera=true, seed=seed)
+        loop.face()
+        outcome = loop.drive()
+        assert outcome.finished
+        assert outcome.position < 0.012
+        assert outcome.heading_deg < 0.3
+
+
+def test_bearings_alone_reach_the_target():
+    loop = Loop((-0.4, -1.8, -13.0), MockOptions(noise_px=0.3, near_m=1.5, far_m=5.0))
+    outcome = loop.drive(TensorOptions(elevations=False))
+    assert outcome.finished
+    assert outcome.position < 0.01
+    assert outcome.heading_deg < 0.3

@@ -47,10 +47,13 @@ class Drive:
     sigma: float = 0.0
     count: int = 60
     offset: float = 0.0
+    level: bool = False
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(1000 + self.seed)
         self.points = make_scene(self.seed, self.count)
+        if self.level:
+            self.points[:, 2] = 0.0
         self.pose = np.array(self.start, dtype=float)
         self.target = rays(self.points, TARGET, self.rng, self.sigma)
         self.initial = rays(self.points, self.pose, self.rng, self.sigma)
