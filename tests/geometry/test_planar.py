@@ -47,7 +47,7 @@ def test_essential_matrix_broadcasts():
 
 
 @given(angles, angles)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_exact_motion_and_its_sign(direction, phi):
     a, b = pair(1, 0.5, direction, phi)
     motion = ransac_planar_motion(a, b, 1e-4)

@@ -18,7 +18,7 @@ def tensors(motions):
 
 
 @given(seeds)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_every_motion_reproduces_the_tensor(seed):
     initial, current = random_poses(np.random.default_rng(seed))
     T = trifocal.tensor_from_poses(initial, current)
@@ -31,7 +31,7 @@ def test_every_motion_reproduces_the_tensor(seed):
 
 
 @given(seeds)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_the_true_motion_is_one_that_lies_in_front(seed):
     rng = np.random.default_rng(seed)
     initial, current = random_poses(rng)

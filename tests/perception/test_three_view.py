@@ -41,7 +41,7 @@ def motion_to(pose):
 poses = st.tuples(st.floats(-1.2, 1.2), st.floats(-1.9, -0.6), st.floats(-0.7, 0.7))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(poses, poses, st.integers(0, 999))
 def test_without_noise_the_pose_is_exact_in_units_of_the_baseline(initial, current, seed):
     points = world(60, seed)
