@@ -40,6 +40,8 @@ BLIND_S = 0.35
 SILENT_S = 0.5
 #: A moving robot that has not been commanded for so long is stopped.
 UNATTENDED_S = 0.4
+#: A robot that stands for so long although told to move does not hear, or cannot move.
+DISOBEDIENT_S = 1.5
 #: Longest pause between packets; also how often a standing robot's watchdog is fed.
 PULSE_S = 0.5
 #: After such a pause the firmware may have stopped by itself, with its old set-points kept.
@@ -49,6 +51,8 @@ _FIRST_REPORT_S = 1.0
 _CONFIG_TRIES, _CONFIG_S = 5, 0.2
 _ENABLE_TRIES, _ENABLE_S = 4, 0.5
 _STANDSTILL_S = 0.8
+# Slower set-points may not overcome friction.
+_CRAWL = Velocity(0.02, math.radians(3.0))
 _REST = (Command(Id.VEL, 0), Command(Id.RVEL, 0))
 
 _log = logging.getLogger(__name__)
@@ -96,6 +100,7 @@ class PioneerBase(Base):
         self._motion = threading.RLock()  # held while a set-point goes out
         self._set_point = STANDSTILL
         self._commanded_at = -math.inf
+        self._obeyed_at = -math.inf
         self._braked_for = ""
         self._failure: DeviceError | None = None
         self.identity: Identity | None = None
@@ -282,6 +287,7 @@ class PioneerBase(Base):
         silence = now - telemetry.last_report if self._link.drained else 0.0
         if silence > SILENT_S:
             raise LinkError(f"the robot has not reported for {silence:.1f} s")
+        self._check_obedience(telemetry, now)
         blockers = telemetry.blockers()
         trouble = blockers[0] if blockers else "reports are missing" if silence > BLIND_S else ""
         with self._motion:
@@ -296,6 +302,15 @@ class PioneerBase(Base):
             elif not moving and now - self._link.last_sent > PULSE_S:
                 self._send(Command(Id.PULSE))
 
+    def _check_obedience(self, telemetry: Telemetry, now: float) -> None:
+        if _idle(self._set_point) or not telemetry.standing:
+            self._obeyed_at = now
+        elif now - self._obeyed_at > DISOBEDIENT_S:
+            raise LinkError(
+                f"the robot reports, but has not moved for {DISOBEDIENT_S:.1f} s although told to: "
+                "it does not hear, or something holds it"
+            )
+
     def _try_to_stop(self) -> None:
         try:
             self.stop()
@@ -307,7 +322,10 @@ class PioneerBase(Base):
     def _send_set_point(self, velocity: Velocity) -> None:
         speed, turn = round(velocity.v * 1e3), round(math.degrees(velocity.omega))
         self._send(Command(Id.VEL, speed), Command(Id.RVEL, turn))
-        self._set_point, self._commanded_at = velocity, self._clock.now()
+        now = self._clock.now()
+        if _idle(self._set_point):
+            self._obeyed_at = now
+        self._set_point, self._commanded_at = velocity, now
 
     def _send(self, *commands: Command) -> None:
         """Send commands; after a pause, first take back the set-points the robot may hold.
@@ -349,6 +367,11 @@ class PioneerBase(Base):
         if self._telemetry is None:
             raise LinkError(f"the robot on {self._link.url} is not connected")
         return self._telemetry
+
+
+def _idle(set_point: Velocity) -> bool:
+    """Return whether a set-point may leave the wheels where they are."""
+    return abs(set_point.v) < _CRAWL.v and abs(set_point.omega) < _CRAWL.omega
 
 
 def _within(value: float, top: int | None) -> int:

@@ -28,6 +28,10 @@ with suppress(ImportError):  # POSIX terminals have errors of their own, which p
 
     _PORT_ERRORS += (termios.error,)
 
+_HANG_UPS = (errno.EIO, errno.EPIPE, errno.ECONNRESET)
+#: What the vendor's messages, whose numbers are lost, say in that case.
+_HANG_UP_SIGNS = ("disconnected", "readiness to read", "Broken pipe", "reset by peer")
+
 _log = logging.getLogger(__name__)
 
 
@@ -170,6 +174,6 @@ def _why(error: Exception) -> str:
         return "permission denied; join the group that owns it (often 'dialout') and log in again"
     if "exclusively lock" in text or number == errno.EBUSY:
         return "it is in use by another process"
-    if "disconnected" in text or "readiness to read" in text or number == errno.EIO:
+    if number in _HANG_UPS or any(sign in text for sign in _HANG_UP_SIGNS):
         return "the other end has hung up"
     return text or type(error).__name__

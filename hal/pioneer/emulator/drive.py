@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from hal.mock import along_arc
 from hal.types import STANDSTILL, Pose, Velocity
-from robots.unicycle import step_exact, wrap_angle
+from robots.unicycle import wrap_angle
 
 #: Closer than this to a heading (rad) or a distance (m) counts as there.
 _HEADING_REACHED = math.radians(0.1)
@@ -139,9 +140,9 @@ class Drive:
             Velocity(_reduced(v, self._brakes[0] * dt), _reduced(omega, self._brakes[1] * dt)), dt
         )
 
-    def follow(self, dt: float, *, held: bool) -> None:
-        """Move on for ``dt`` (s) along the ramps; ``held``: towards standstill."""
-        goal = STANDSTILL if held else self._goal()
+    def follow(self, dt: float) -> None:
+        """Move on for ``dt`` (s) along the ramps."""
+        goal = self._goal()
         v, omega = self.velocity
         self._roll(
             Velocity(
@@ -175,9 +176,9 @@ class Drive:
             self._distance -= v * dt
         if velocity == STANDSTILL:
             return
-        self.wheel_pose = Pose(*step_exact(self.wheel_pose, v, omega, dt).tolist())
-        v, omega = v * (1.0 - self._slip.v), omega * (1.0 - self._slip.omega)
-        self.true_pose = Pose(*step_exact(self.true_pose, v, omega, dt).tolist())
+        self.wheel_pose = Pose(*along_arc(self.wheel_pose, velocity, dt))
+        executed = Velocity(v * (1.0 - self._slip.v), omega * (1.0 - self._slip.omega))
+        self.true_pose = Pose(*along_arc(self.true_pose, executed, dt))
 
 
 def _reduced(value: float, step: float) -> float:

@@ -101,6 +101,12 @@ class Emulator:
             return self._firmware.drive.velocity
 
     @property
+    def standing_since(self) -> float | None:
+        """When the wheels came to rest (s, on the emulator's clock); None while they turn."""
+        with self._lock:
+            return self._firmware.standing_since
+
+    @property
     def motors(self) -> bool:
         """Whether the motors are enabled."""
         with self._lock:

@@ -21,6 +21,7 @@ from hal.types import STANDSTILL, Pose, Velocity
 
 #: Step of the motion (s).
 STEP_S = 0.005
+_SAME_INSTANT_S = 1e-9
 
 
 @dataclass
@@ -72,13 +73,14 @@ class Firmware:
         self.drive = _drive(character, start, slip)
         self.session = Session.WAITING
         self.motors = False
-        #: When the wheels first turned (s).
+        #: When the wheels first turned, and since when they have been at rest (s).
         self.first_motion: float | None = None
+        self.standing_since: float | None = 0.0
         self._world = world or OpenSpace()
         self._reporter = Reporter(character, self._world)
         self._expected = Id.PULSE
         self._emergency = False
-        self._time = 0.0
+        self._steps = 0
         self._last_heard = 0.0
         self._next_report = math.inf
 
@@ -87,13 +89,17 @@ class Firmware:
     def advance(self, t: float) -> list[bytes]:
         """Live on until ``t`` (s); return the packets sent meanwhile."""
         sent: list[bytes] = []
-        while self._time + STEP_S <= t:
-            self._time += STEP_S
+        while (self._steps + 1) * STEP_S <= t + _SAME_INSTANT_S:
+            self._steps += 1
             self._move()
-            if self._time >= self._next_report:
+            if self._time >= self._next_report - _SAME_INSTANT_S:
                 self._next_report += self._cycle
                 sent += self._reporter.due(self.drive, self.conditions, self.motors)
         return sent
+
+    @property
+    def _time(self) -> float:
+        return self._steps * STEP_S
 
     @property
     def asleep(self) -> bool:
@@ -111,15 +117,18 @@ class Firmware:
             self.motors = False
         if self.conditions.stalled:
             self.drive.block()
-        elif self._emergency or not self.motors:
+        elif self._emergency or self.asleep or not self.motors:
             self.drive.brake(STEP_S)
             self._emergency = self._emergency and not self.drive.standing
         else:
             before = self.drive.true_pose
-            self.drive.follow(STEP_S, held=self.asleep)
+            self.drive.follow(STEP_S)
             self._collide(before)
-        if not self.drive.standing and self.first_motion is None:
-            self.first_motion = self._time
+        if not self.drive.standing:
+            self.standing_since = None
+            self.first_motion = self._time if self.first_motion is None else self.first_motion
+        elif self.standing_since is None:
+            self.standing_since = self._time
 
     def _collide(self, before: Pose) -> None:
         touching = not self.drive.standing and self._world.blocked(self.drive.true_pose)

@@ -7,7 +7,7 @@ import threading
 from dataclasses import dataclass
 from typing import TextIO
 
-from hal.pioneer.commands import decode_command
+from hal.pioneer.commands import Command, decode_command
 from hal.pioneer.packet import Packet
 
 #: Commands must not follow each other more closely (s).
@@ -61,6 +61,10 @@ class Traffic:
         """All packets so far."""
         with self._lock:
             return tuple(self._entries)
+
+    def commands(self) -> list[Command]:
+        """Return all commands so far."""
+        return [decode_command(entry.packet) for entry in self.entries]
 
     def violations(self) -> list[str]:
         """Return what was not legal, as sentences; empty for a correct client.
