@@ -79,18 +79,12 @@ def projector() -> Iterator[Projector]:
         yield projector
 
 
-def last_of(camera: CaptureCamera, limit: float) -> Frame:
-    """Read until the recording ends; return its last picture."""
+def frames_of(camera: CaptureCamera, limit: float) -> Iterator[Frame]:
+    """Read again and again for ``limit`` seconds."""
     start = time.monotonic()
-    frame = camera.read()
     while time.monotonic() - start < limit:
-        try:
-            frame = camera.read()
-        except CameraError as error:
-            assert "ended" in str(error)
-            return frame
+        yield camera.read()
         time.sleep(0.005)
-    raise AssertionError("it never ended")
 
 
 def wait_for_stale(camera: CaptureCamera) -> tuple[float, str]:
@@ -205,7 +199,10 @@ def test_recording_plays_at_its_own_speed_and_ends(tmp_path: Path) -> None:
     writer.release()
     start = time.monotonic()
     with opened(str(path)) as camera:
-        assert last_of(camera, limit=3.0).sequence >= 18
+        frames: list[Frame] = []
+        with pytest.raises(CameraError, match="ended"):
+            frames.extend(frames_of(camera, limit=3.0))
+        assert frames[-1].sequence >= 18
     assert time.monotonic() - start == pytest.approx(20 / RATE, abs=0.3)
 
 
