@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -40,6 +41,9 @@ class Emulator:
         Where to record what is received.
     seed : int
         Of the damage to bytes.
+    companion : callable or None
+        Called with the robot's true pose at every look at the line (some hundred times a
+        second), for devices that ride on it.
     """
 
     def __init__(
@@ -49,12 +53,14 @@ class Emulator:
         faults: FaultSchedule | None = None,
         traffic: Traffic | None = None,
         seed: int = 0,
+        companion: Callable[[Pose], None] | None = None,
     ) -> None:
         self.url = port.url
         self.faults = faults or FaultSchedule()
         self.traffic = traffic or Traffic()
         self._firmware = firmware
         self._port = port
+        self._companion = companion
         self._to_robot = Channel(self.faults, seed)
         self._to_client = Channel(self.faults, seed + 1)
         self._decoder = StreamDecoder()
@@ -107,6 +113,11 @@ class Emulator:
             return self._firmware.standing_since
 
     @property
+    def running(self) -> bool:
+        """Whether the robot is switched on."""
+        return self._thread.is_alive()
+
+    @property
     def motors(self) -> bool:
         """Whether the motors are enabled."""
         with self._lock:
@@ -140,6 +151,8 @@ class Emulator:
             self._hear(t, arrived)
         self._looked = t
         self._speak(t)
+        if self._companion is not None:
+            self._companion(self._firmware.drive.true_pose)
         if t >= self._next_truth:
             self._next_truth = t + _TRUTH_S
             drive = self._firmware.drive
