@@ -7,7 +7,7 @@ import math
 import re
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,9 @@ from robots.unicycle import step_exact
 from sim.emulated_camera import CameraSpec, EmulatedCamera, State
 from sim.scene import load_scene
 from sim.scene_world import SceneWorld
+from visctrl.config import CameraChoice
 from visctrl.runtime.interrupts import Interrupted, Interrupts
+from visctrl.runtime.plan import chosen_camera
 
 _CHECK_S = 0.2
 _DEFAULT_TCP = 8101
@@ -57,9 +59,22 @@ class Emulation:
     fps: float
     stream_port: int
     faults: Sequence[str]
-    slip: Velocity
+    slip: tuple[float, float]
     seed: int
     log: Path | None
+
+
+def camera_model(name: str, width: int | None) -> CentralCamera | None:
+    """Return a camera by name or calibration file, in the wanted size; None for ``none``."""
+    if name == "none":
+        return None
+    return chosen_camera(CameraChoice(name=name, width=width))
+
+
+def start_pose(start: tuple[float, float, float]) -> Pose:
+    """Return a start given in metres and degrees."""
+    x, y, phi = start
+    return Pose(x, y, math.radians(phi))
 
 
 def emulate(wanted: Emulation) -> int:
@@ -79,7 +94,7 @@ def emulate(wanted: Emulation) -> int:
     scene = load_scene(wanted.scene)
     scene.check_clear(wanted.start, mount.forward_m, robot, "start")
     axle = Pose(*step_exact(wanted.start, -mount.forward_m, 0.0, 1.0).tolist())
-    firmware = Firmware(its, axle, SceneWorld(scene, robot), wanted.slip)
+    firmware = Firmware(its, axle, SceneWorld(scene, robot), Velocity(*wanted.slip))
     with Interrupts() as interrupts, ExitStack() as stack:
         camera = None
         if wanted.camera is not None:
@@ -152,8 +167,8 @@ def _port(text: str) -> Port:
     return TcpPort(_DEFAULT_TCP if match[2] is None else int(match[2]))
 
 
-def _known(what: str, name: str, names: Sequence[str] | dict[str, object]) -> str:
-    if name not in names:
+def _known(what: str, name: str, names: Iterable[str]) -> str:
+    if name not in set(names):
         raise InputError(f"unknown {what} '{name}'; {suggestion(name, names)}")
     return name
 
