@@ -17,7 +17,7 @@ from hal.actuation import bounded, quantised
 from hal.errors import BaseFaultError, DeviceError, InputError, LinkError
 from hal.interfaces import Base, Clock
 from hal.pioneer.commands import Command, Id
-from hal.pioneer.config import UNLIMITED, Config, decode_config
+from hal.pioneer.config import Config, decode_config
 from hal.pioneer.handshake import BAUDS, connect
 from hal.pioneer.link import Link
 from hal.pioneer.packet import Packet
@@ -29,6 +29,7 @@ from hal.pioneer.reports import (
     decode_standard_report,
     is_standard_report,
 )
+from hal.pioneer.settings import REST, settings
 from hal.pioneer.subclasses import find_subclass
 from hal.pioneer.telemetry import Telemetry
 from hal.types import STANDSTILL, BaseStatus, Odometry, Velocity
@@ -53,7 +54,6 @@ _ENABLE_TRIES, _ENABLE_S = 4, 0.5
 _STANDSTILL_S = 0.8
 # Slower set-points may not overcome friction.
 _CRAWL = Velocity(0.02, math.radians(3.0))
-_REST = (Command(Id.VEL, 0), Command(Id.RVEL, 0))
 
 _log = logging.getLogger(__name__)
 
@@ -121,21 +121,27 @@ class PioneerBase(Base):
         BaseFaultError
             The motors cannot be enabled.
         """
-        self._link.open()
-        self.identity = identity = connect(self._link, self._bauds)
-        subclass = find_subclass(identity.subclass)
-        if subclass.robot != self._robot:
-            raise InputError(
-                f"the robot on {self._link.url} is a '{identity.subclass}', "
-                f"not a '{self._robot}': use --robot {subclass.robot}"
-            )
-        self._telemetry = Telemetry(subclass)
-        self._begin_session(self._telemetry)
-        self._set_up()
-        self._enable(self._telemetry)
+        telemetry = self._meet(self._robot)
+        self._send(*settings(self._limits, self.config or Config(), sonar=self._sonar))
+        self._enable(telemetry)
         self._watcher = threading.Thread(target=self._watch, name="pioneer", daemon=True)
         self._watcher.start()
         self._connected = True
+
+    def inspect(self) -> BaseStatus:
+        """Connect to whatever robot there is, learn what it says of itself, and leave it alone.
+
+        Its motors stay off. `identity` and `config` hold the rest.
+
+        Raises
+        ------
+        LinkError
+            As in `open`.
+        """
+        try:
+            return self._meet(None).status()
+        finally:
+            self.close()
 
     def close(self) -> None:
         """Stop the robot, switch its motors off, end the session, release the port."""
@@ -195,7 +201,7 @@ class PioneerBase(Base):
             The port does not take bytes.
         """
         with self._motion:
-            self._send(Command(Id.E_STOP), *_REST)
+            self._send(Command(Id.E_STOP), *REST)
             self._set_point = STANDSTILL
 
     def echoes(self, max_age_s: float = 1.0) -> dict[int, float]:
@@ -205,6 +211,20 @@ class PioneerBase(Base):
         return {number: echo.range_m for number, echo in echoes.items() if echo.stamp >= newest}
 
     # --- connecting --------------------------------------------------------------------------
+
+    def _meet(self, expected: str | None) -> Telemetry:
+        """Open port and session; ``expected`` is the robot that must be there."""
+        self._link.open()
+        self.identity = identity = connect(self._link, self._bauds)
+        subclass = find_subclass(identity.subclass)
+        if expected is not None and subclass.robot != expected:
+            raise InputError(
+                f"the robot on {self._link.url} is a '{identity.subclass}', "
+                f"not a '{expected}': use --robot {subclass.robot}"
+            )
+        self._telemetry = Telemetry(subclass)
+        self._begin_session(self._telemetry)
+        return self._telemetry
 
     def _begin_session(self, telemetry: Telemetry) -> None:
         """Open the session, wait for a first report, ask for the configuration."""
@@ -216,24 +236,6 @@ class PioneerBase(Base):
             if self._wait(_CONFIG_S, lambda: self.config is not None):
                 return
         _log.warning("the robot does not tell its configuration; its own limits are unknown")
-
-    def _set_up(self) -> None:
-        """Give the firmware our limits, and set-points of zero."""
-        config, limits = self.config or Config(), self._limits
-        speed = _within(limits.v_m_s * 1e3, config.speed_top)
-        turn = _within(limits.omega_deg_s, config.turn_top)
-        ramp = _within(limits.acceleration_m_s2 * 1e3, config.acceleration_top)
-        turn_ramp = _within(limits.angular_acceleration_deg_s2, config.turn_acceleration_top)
-        self._send(
-            *_REST,
-            Command(Id.SETV, speed),
-            Command(Id.SETRV, turn),
-            Command(Id.SETA, ramp),
-            Command(Id.SETA, -ramp),
-            Command(Id.SETRA, turn_ramp),
-            Command(Id.SETRA, -turn_ramp),
-            Command(Id.SONAR, int(self._sonar)),
-        )
 
     def _enable(self, telemetry: Telemetry) -> None:
         for _ in range(_ENABLE_TRIES):
@@ -335,7 +337,7 @@ class PioneerBase(Base):
         """
         with self._motion:
             if self._clock.now() - self._link.last_sent > GAP_S:
-                self._link.send(*_REST)
+                self._link.send(*REST)
                 self._set_point = STANDSTILL
             self._link.send(*commands)
 
@@ -372,9 +374,3 @@ class PioneerBase(Base):
 def _idle(set_point: Velocity) -> bool:
     """Return whether a set-point may leave the wheels where they are."""
     return abs(set_point.v) < _CRAWL.v and abs(set_point.omega) < _CRAWL.omega
-
-
-def _within(value: float, top: int | None) -> int:
-    """Return a limit in whole units, no higher than the firmware's own (0 and 9999: none)."""
-    ceiling = top if top and top < UNLIMITED else UNLIMITED
-    return max(1, min(math.ceil(value - 1e-9), ceiling))

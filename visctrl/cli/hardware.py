@@ -5,6 +5,8 @@ Options and their help only; the work is imported when it is asked for.
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +17,8 @@ def add_hardware_commands(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     app.command("emulate-pioneer")(emulate_command)
     app.command("teach")(teach_command)
+    app.command("drive")(drive_command)
+    app.command("doctor")(doctor_command)
 
 
 FaultOption = Annotated[
@@ -86,7 +90,7 @@ def teach_command(
         port=port,
         camera_url=camera_url,
     )
-    raise typer.Exit(teach(scenario, overrides, out, frames, preview))
+    _finish(lambda: teach(scenario, overrides, out, frames, preview))
 
 
 def emulate_command(
@@ -150,3 +154,48 @@ def emulate_command(
         log=log,
     )
     raise typer.Exit(emulate(wanted))
+
+
+def drive_command(
+    port: Annotated[str, typer.Option(metavar="PORT", help="The robot's device or URL.")] = (
+        "/dev/ttyUSB0"
+    ),
+    robot: Annotated[str, typer.Option(metavar="NAME", help="p3dx or p3at.")] = "p3dx",
+    speed: Annotated[float, typer.Option(metavar="M/S", help="Speed while a key is held.")] = 0.2,
+    turn: Annotated[
+        float, typer.Option(metavar="DEG/S", help="Turning rate while a key is held.")
+    ] = 20.0,
+) -> None:
+    """Drive the robot from the keyboard; it moves only while a key is held."""
+    from visctrl.cli.drive import drive
+
+    _finish(lambda: drive(port, robot, speed, turn))
+
+
+def doctor_command(
+    port: PortOption = None,
+    camera_url: SourceOption = None,
+    camera: CameraOption = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Leave out what takes seconds: rendering, tick budget.")
+    ] = False,
+) -> None:
+    """Check this machine, and the devices that are named, line by line.
+
+    The robot does not move. Exit code 3 if a check fails.
+    """
+    from visctrl.cli.doctor import examine
+
+    _finish(lambda: examine(port, camera_url, camera or "hypercatadioptric", quick=quick))
+
+
+def _finish(work: Callable[[], int]) -> None:
+    """Exit with what ``work`` returns, or as a signal that interrupts it asks for."""
+    from visctrl.runtime.interrupts import Interrupted
+
+    try:
+        code = work()
+    except Interrupted as stop:
+        print(f"visctrl: {stop}", file=sys.stderr)
+        code = stop.exit_code
+    raise typer.Exit(code)

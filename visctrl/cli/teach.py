@@ -49,7 +49,8 @@ def teach(
     InputError, DeviceError
         A device or option cannot be used, or the view cannot serve as a target.
     """
-    loaded = load_scenario(scenario, overrides, REGISTRIES.backends.known())
+    untaught = Override(("target", "file"), None, "visctrl teach")
+    loaded = load_scenario(scenario, [*overrides, untaught], REGISTRIES.backends.known())
     check_flags(overrides, loaded.scenario.backend)
     plan = make_plan(loaded)
     if plan.backend.delivers_features:
