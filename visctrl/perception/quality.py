@@ -56,7 +56,7 @@ def assess(frames: Sequence[Frame], camera: CentralCamera) -> Quality:
         A frame cannot be of this camera, or the frames show different things.
     """
     canvas = canvas_for(camera)
-    image = averaged([checked(frame, camera, "the target image") for frame in frames])
+    image = averaged([checked(frame, camera, "the target image") for frame in frames], canvas)
     picture = draw(image, canvas)
     described = describe(picture.image, canvas, NaturalOptions().keypoints, MARGIN_PX)
     return Quality(
