@@ -21,7 +21,8 @@ from hal.pioneer.packet import Packet, StreamDecoder
 SPACING_S = 0.006
 #: Longest wait for bytes (s): how late other work of the reading thread can be.
 READ_TIMEOUT_S = 0.02
-_WRITE_TIMEOUT_S = 0.2
+# pyserial also counts the time that this process is not scheduled.
+_WRITE_TIMEOUT_S = 1.0
 _PORT_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError)
 with suppress(ImportError):  # POSIX terminals have errors of their own, which pyserial leaks
     import termios

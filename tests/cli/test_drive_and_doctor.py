@@ -27,6 +27,7 @@ from hal.pioneer.emulator.stream import MjpegServer
 from visctrl.cli.drive import split_keys
 from visctrl.cli.main import main
 
+pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[2]
 
 

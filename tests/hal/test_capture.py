@@ -20,6 +20,7 @@ from hal.errors import CameraError, StaleFrameError
 from hal.pioneer.emulator.stream import MjpegServer
 from hal.types import Frame
 
+pytestmark = pytest.mark.realtime
 WIDTH, HEIGHT, RATE = 160, 120, 25.0
 MODEL = CentralCamera(
     name="test", width=WIDTH, height=HEIGHT, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5

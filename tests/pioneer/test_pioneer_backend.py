@@ -17,6 +17,7 @@ from hal.pioneer.emulator.stream import MjpegServer
 from hal.types import Pose, Velocity
 from robots import load_robot
 
+pytestmark = pytest.mark.realtime
 MODEL = CentralCamera(
     name="test", width=160, height=120, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5
 )

@@ -30,6 +30,7 @@ from hal.types import Velocity
 from robots import load_robot
 
 MakeBench = Callable[..., Any]
+pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[2]
 
 #: A process that drives at full speed until it is killed.

@@ -111,6 +111,7 @@ def test_blocked_where_the_scene_refuses_a_robot(x: float, y: float, phi: float)
 
 
 @pytest.mark.sim
+@pytest.mark.realtime
 def test_streamed_camera() -> None:
     """It sees what the robot's pose shows, freezes, drops, and ends with its owner."""
     model = load_camera("perspective").resized(160, 120)

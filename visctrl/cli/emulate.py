@@ -7,7 +7,7 @@ import math
 import re
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,16 +94,16 @@ def emulate(wanted: Emulation) -> int:
     scene = load_scene(wanted.scene)
     scene.check_clear(wanted.start, mount.forward_m, robot, "start")
     axle = Pose(*step_exact(wanted.start, -mount.forward_m, 0.0, 1.0).tolist())
+    make_port = _port(wanted.port)
     firmware = Firmware(its, axle, SceneWorld(scene, robot), Velocity(*wanted.slip))
     with Interrupts() as interrupts, ExitStack() as stack:
         camera = None
         if wanted.camera is not None:
             camera = stack.enter_context(_camera(wanted, wanted.camera, mount, axle))
         traffic = Traffic(stack.enter_context(_log_file(wanted.log)))
-        port = _port(wanted.port)
         companion = None if camera is None else camera.move
         emulator = stack.enter_context(
-            Emulator(firmware, port, schedule, traffic, wanted.seed, companion)
+            Emulator(firmware, make_port(), schedule, traffic, wanted.seed, companion)
         )
         print(emulator.url, flush=True)
         if camera is not None:
@@ -158,13 +158,15 @@ def _camera(wanted: Emulation, model: CentralCamera, mount: Mount, axle: Pose) -
     return EmulatedCamera(spec, axle)
 
 
-def _port(text: str) -> Port:
+def _port(text: str) -> Callable[[], Port]:
+    """Return what opens the port that ``text`` names."""
     match = _PORT.fullmatch(text)
     if match is None or (match[1] == "pty" and match[2]):
         raise InputError(f"--port {text}: expected pty, socket or socket:PORT")
     if match[1] == "pty":
-        return PtyPort()
-    return TcpPort(_DEFAULT_TCP if match[2] is None else int(match[2]))
+        return PtyPort
+    number = _DEFAULT_TCP if match[2] is None else int(match[2])
+    return lambda: TcpPort(number)
 
 
 def _known(what: str, name: str, names: Iterable[str]) -> str:
