@@ -169,6 +169,29 @@ def test_fault_while_driving(site: Site, run: Run, fault: str, says: str) -> Non
 
 
 @pytest.mark.parametrize(
+    ("trouble", "code", "says"),
+    [
+        ("sigterm", 143, "stopped by SIGTERM"),
+        ("sigint", 130, "stopped by Ctrl-C"),
+        ("raise", 3, "toy trouble"),
+        ("nan", 3, "not finite"),
+    ],
+)
+def test_whatever_ends_a_run_the_robot_is_left_in_order(
+    site: Site, run: Run, trouble: str, code: int, says: str
+) -> None:
+    options = ("controller.at_s=0.8", f"controller.trouble={trouble}")
+    done, _, messages = run(*(word for option in options for word in ("--set", option)))
+    assert done == code
+    assert says in messages
+    assert site.emulator.velocity == (0.0, 0.0)
+    assert not site.emulator.motors
+    commands = [str(command) for command in site.emulator.traffic.commands()]
+    assert commands[-5:] == ["E_STOP", "VEL 0", "RVEL 0", "ENABLE 0", "CLOSE"]
+    assert site.emulator.traffic.violations() == []
+
+
+@pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
         (["--port", "/dev/does-not-exist"], 3, "there is no such port"),
