@@ -209,9 +209,9 @@ def camera_stream(source: str, name: str) -> Iterator[Finding]:
 
 def renderers() -> Iterator[Finding]:
     """Check the simulator's renderers."""
-    from sim.egl import egl_usable
+    from sim.engine import egl_works
 
-    works = egl_usable()
+    works = egl_works()
     found = "works" if works else "does not work here (software rendering does)"
     yield Finding(Level.OK, "renderer egl", found)
 
