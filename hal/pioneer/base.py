@@ -52,6 +52,8 @@ _FIRST_REPORT_S = 1.0
 _CONFIG_TRIES, _CONFIG_S = 5, 0.2
 _ENABLE_TRIES, _ENABLE_S = 4, 0.5
 _STANDSTILL_S = 0.8
+#: Longest time between two looks at the line, if the machine is not overloaded.
+_LISTEN_S = 0.06
 # Slower set-points may not overcome friction.
 _CRAWL = Velocity(0.02, math.radians(3.0))
 
@@ -59,7 +61,7 @@ _log = logging.getLogger(__name__)
 
 
 class PioneerBase(Base):
-    """A Pioneer robot.
+    """A Pioneer robot; one object serves one session.
 
     Parameters
     ----------
@@ -101,6 +103,8 @@ class PioneerBase(Base):
         self._set_point = STANDSTILL
         self._commanded_at = -math.inf
         self._obeyed_at = -math.inf
+        self._heard_at = self._listened_at = -math.inf
+        self._silence = 0.0
         self._braked_for = ""
         self._failure: DeviceError | None = None
         self.identity: Identity | None = None
@@ -286,7 +290,7 @@ class PioneerBase(Base):
     def _guard(self, telemetry: Telemetry) -> None:
         """Brake or give up if something is wrong; feed the watchdog of a standing robot."""
         now = self._clock.now()
-        silence = now - telemetry.last_report if self._link.drained else 0.0
+        silence = self._listen(telemetry, now)
         if silence > SILENT_S:
             raise LinkError(f"the robot has not reported for {silence:.1f} s")
         self._check_obedience(telemetry, now)
@@ -303,6 +307,18 @@ class PioneerBase(Base):
                 _log.warning("stopped: no command for %.1f s", UNATTENDED_S)
             elif not moving and now - self._link.last_sent > PULSE_S:
                 self._send(Command(Id.PULSE))
+
+    def _listen(self, telemetry: Telemetry, now: float) -> float:
+        """Return for how long (s) this thread has listened without a report.
+
+        Time that it was not scheduled does not count: reports may be waiting to be read.
+        """
+        elapsed, self._listened_at = now - self._listened_at, now
+        if telemetry.last_report > self._heard_at:
+            self._heard_at, self._silence = telemetry.last_report, 0.0
+        else:
+            self._silence += min(elapsed, _LISTEN_S)
+        return self._silence
 
     def _check_obedience(self, telemetry: Telemetry, now: float) -> None:
         if _idle(self._set_point) or not telemetry.standing:

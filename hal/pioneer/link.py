@@ -57,8 +57,6 @@ class Link:
         self._sending = threading.Lock()
         #: When the last command went out (s).
         self.last_sent = float("-inf")
-        #: Whether the last `receive` emptied the line.
-        self.drained = True
 
     def open(self) -> None:
         """Open the port, for this process only.
@@ -130,10 +128,8 @@ class Link:
         LinkError
             The port is gone.
         """
-        wanted = self._decoder.wanted
         with self._guarded() as port:
-            data = port.read(wanted)
-        self.drained = len(data) < wanted
+            data = port.read(self._decoder.wanted)
         return self._decoder.feed(data, self._clock.now())
 
     def receive_for(self, seconds: float) -> Iterator[Packet]:

@@ -54,7 +54,7 @@ def driving(emulator: Emulator, *options: str) -> Iterator[tuple[subprocess.Pope
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     try:
-        wait_until(lambda: emulator.motors, 20.0)
+        wait_until(lambda: emulator.motors, 60.0)
         yield process, keyboard
     finally:
         process.kill()

@@ -42,6 +42,13 @@ class Bench:
             time.sleep(PERIOD_S)
         return sent
 
+    def get_up_to(self, base: PioneerBase, velocity: Velocity, limit: float = 10.0) -> None:
+        """Drive until the robot has the commanded speed."""
+        deadline = time.monotonic() + limit
+        while abs(self.emulator.velocity.v - velocity.v) > 1e-9:
+            assert time.monotonic() < deadline, f"still at {self.emulator.velocity}"
+            self.drive(base, velocity, PERIOD_S)
+
     def standstill_after(self, limit: float) -> float:
         """Return after how long (s) the robot stands, at most ``limit``."""
         start = time.monotonic()

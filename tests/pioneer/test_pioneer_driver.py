@@ -33,6 +33,8 @@ MakeBench = Callable[..., Any]
 pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[2]
 
+#: Longest time that a process may take to start and get up to speed (s).
+START_S = 60.0
 #: A process that drives at full speed until it is killed.
 DRIVER = """
 import sys, time
@@ -140,7 +142,7 @@ def test_nobody_commands_a_moving_robot(bench: MakeBench) -> None:
     base = it.base()
     base.open()
     try:
-        it.drive(base, Velocity(0.4, 0.5), 1.6)
+        it.get_up_to(base, Velocity(0.4, 0.5))
         assert it.standstill_after(0.6) > 0.2
         time.sleep(2.3)  # longer than the watchdog: the driver feeds it, the robot stands
         assert it.emulator.velocity == (0.0, 0.0)
@@ -157,7 +159,7 @@ def test_killed_driver(bench: MakeBench) -> None:
         [sys.executable, "-c", DRIVER, it.emulator.url], cwd=ROOT, stdout=subprocess.PIPE
     )
     try:
-        wait_until(lambda: it.emulator.velocity.v == 0.4, 8.0)
+        wait_until(lambda: it.emulator.velocity.v == 0.4, START_S)
         process.kill()
         killed = it.emulator.now()
         process.wait()
@@ -179,7 +181,7 @@ def test_frozen_driver_does_not_revive_the_robot(bench: MakeBench) -> None:
         stderr=subprocess.DEVNULL,
     )
     try:
-        wait_until(lambda: it.emulator.velocity.v == 0.4, 8.0)
+        wait_until(lambda: it.emulator.velocity.v == 0.4, START_S)
         process.send_signal(signal.SIGSTOP)
         it.standstill_after(2.2)
         before = len(it.emulator.traffic.commands())

@@ -87,8 +87,7 @@ def suffer(case: Case) -> tuple[BaseException, float]:
         it = Bench(emulator)
         base = it.base()
         base.open()
-        it.drive(base, FULL_SPEED, 1.5)
-        assert emulator.velocity.v == pytest.approx(FULL_SPEED.v)
+        it.get_up_to(base, FULL_SPEED)
         emulator.faults.switch_on(case.kind, case.value)
         began = emulator.now()
         with base_closing(base), pytest.raises(DeviceError) as caught:

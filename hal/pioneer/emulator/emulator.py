@@ -19,7 +19,7 @@ from hal.types import Pose, Velocity
 #: Longest time between two looks at the line (s). Shorter than the least spacing of commands,
 #: so that a client that sends them closer together is found out.
 _LOOK_S = 0.004
-_RUBBISH_S, _RUBBISH_BYTES = 0.02, 20
+_RUBBISH_S, _RUBBISH_BYTES = 0.004, 12
 _TRUTH_S = 0.05
 _NORMAL_BATTERY_V = 12.8
 
