@@ -68,7 +68,7 @@ class ManoeuvreOptions(Document):
     leave_deg: Positive = 11.0
     enter_deg: Positive = 38.0
     turn_deg: Positive = 35.0
-    rate: Positive = 0.1
+    rate: Positive = 0.2
     turn_gain: Positive = 1.5
     omega_deg_s: Positive = 30.0
 
@@ -94,11 +94,13 @@ class Manoeuvre:
         self.kind = _kind(options, first.psi)
         side = math.copysign(1.0, first.psi)
         turn = min(math.radians(options.turn_deg), 0.8 * field_rad)
+        # The approach from there turns the camera by about twice ψ off the target's axis.
+        self._enter = min(math.radians(options.enter_deg), 0.5 * field_rad)
         if self.kind is Kind.ALIGNED:
             self._heading, self._reverse = first.psi + side * turn, False
         elif abs(math.sin(first.psi)) < math.sin(math.radians(options.aligned_deg)):
             # Straight past the target: reverse at an angle, or the views stay aligned.
-            self._heading, self._reverse = side * turn / 2.0, True
+            self._heading, self._reverse = side * self._enter / 2.0, True
         else:
             self._heading, self._reverse = 0.0, True
         self._driving = False
@@ -119,7 +121,7 @@ class Manoeuvre:
         off = abs(now.psi)
         if self.kind is Kind.ALIGNED:
             return off > math.radians(self._options.leave_deg)
-        return off < math.radians(self._options.enter_deg)
+        return off < self._enter
 
 
 def _kind(options: ManoeuvreOptions, psi: float) -> Kind | None:

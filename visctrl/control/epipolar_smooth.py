@@ -139,7 +139,8 @@ class EpipolarSmooth(Controller[EpipolarSmoothOptions, EpipoleEstimate]):
         left = max(_APPROACH_PART * duration - t, 1e-9)
         rate = min(o.max_rate, 3.0 / left) * min(1.0, t / o.ramp_s) * facing
         q = float(wrap_angle(now.phi - now.psi))
-        rate *= max(math.cos(q), _LEAST_COSINE)
+        # Far away the target stays ahead; near it, one that was passed is backed up to.
+        rate *= fade * max(math.cos(q), _LEAST_COSINE) + (1.0 - fade) * math.cos(q)
         v = rate * now.rho / self._inverse_distance(location)
         omega = -slope * fade * rate * math.sin(q) - o.turn_gain * error
         self._values |= {"bearing": q, "heading_error": error, "rate": rate}

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 #: Floor of a line's standard deviation, in units of D: what the linearisation itself costs.
 _LINE_FLOOR = 2e-4
-#: Position noise per tick as a share of the lines' own: the estimate follows the newest lines
-#: within a few ticks. The noise of the fixed views is the same in all of them, so that a longer
+#: Position noise per tick, across each line just measured, as a share of the line's own: the
+#: estimate follows the newest lines within a few ticks. The noise of the fixed views is the same in all of them, so that a longer
 #: memory gains nothing, and at the target the newest lines are the only unbiased ones.
 _FORGETTING = 0.2
 #: Sine of the angle between the two lines below which they do not meet in a point.
@@ -69,6 +69,8 @@ class LocationFilter:
         self._x = np.array([*self._origin, self._phi1, inverse_distance])
         self._P = np.diag([1e-8, 1e-8, fixed.turn_sd**2 + 1e-8, inverse_distance_sd**2])
         self._lines: dict[str, _Line] = {}
+        #: Names of the lines that the last update measured.
+        self._fresh: list[str] = []
 
     def predict(self, sent: Velocity, dt: float) -> None:
         """Move the state along the exact arc of ``sent`` during ``dt`` seconds."""
@@ -79,16 +81,19 @@ class LocationFilter:
         F[0, 2], F[1, 2] = -w * moved[1], w * moved[0]
         self._x[:2] += w * moved[:2]
         self._x[2] = float(moved[2])
-        finest = min((line.sd for line in self._lines.values()), default=0.0)
-        way = (self._slip * w) ** 2 * float(moved[:2] @ moved[:2]) + (_FORGETTING * finest) ** 2
+        way = (self._slip * w) ** 2 * float(moved[:2] @ moved[:2])
         turn = (self._slip * sent.omega * dt) ** 2
         self._P = F @ self._P @ F.T + np.diag([way + 1e-10, way + 1e-10, turn + 1e-8, 0.0])
+        for name in self._fresh:
+            across = _FORGETTING * self._lines[name].sd * self._lines[name].normal
+            self._P[:2, :2] += np.outer(across, across)
 
     def update(self, target: EpipolePair, reference: EpipolePair, sd_limit: float) -> None:
         """Take in the pairs (current, target) and (reference, current).
 
         Epipoles less certain than ``sd_limit`` (rad) are left out.
         """
+        self._fresh = []
         if target.turn_sd <= sd_limit:
             innovation = float(wrap_angle(-target.turn - self._x[2]))
             self._correct(np.array([0.0, 0.0, 1.0, 0.0]), innovation, target.turn_sd)
@@ -126,6 +131,7 @@ class LocationFilter:
         away = self._x[:2] - through
         line = _Line(normal, math.hypot(sd * float(np.linalg.norm(away)), _LINE_FLOOR))
         self._lines[name] = line
+        self._fresh.append(name)
         self._correct(np.array([*normal, 0.0, 0.0]), -float(normal @ away), line.sd)
 
     def _correct(self, H: Array, innovation: float, sd: float) -> None:
