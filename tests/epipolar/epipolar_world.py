@@ -146,5 +146,3 @@ def drive(world, estimator: Estimator, controller: Controller, duration: float) 
         if finished:
             break
     return Run(np.array(poses), np.array(inputs), phases, finished, np.array(times), estimates)
-
-

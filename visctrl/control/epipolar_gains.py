@@ -107,7 +107,12 @@ def bounded_margins(
 
 
 def depth_margin(
-    error: ArrayLike, k0: float, k1: float, *, distance_ratio: ArrayLike, focal_ratio: ArrayLike = 1.0
+    error: ArrayLike,
+    k0: float,
+    k1: float,
+    *,
+    distance_ratio: ArrayLike,
+    focal_ratio: ArrayLike = 1.0,
 ) -> Array:
     """Return the margin (1/s) of (2.25) for the depth step.
 

@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 #: Floor of a line's standard deviation, in units of D: what the linearisation itself costs.
 _LINE_FLOOR = 2e-4
 #: Position noise per tick, across each line just measured, as a share of the line's own: the
-#: estimate follows the newest lines within a few ticks. The noise of the fixed views is the same in all of them, so that a longer
-#: memory gains nothing, and at the target the newest lines are the only unbiased ones.
-_FORGETTING = 0.2
+#: estimate follows the newest lines within a few ticks. The noise of the fixed views is the same
+#: in all of them: a longer memory gains nothing, and at the target the newest are unbiased.
+_FORGETTING = 0.1
 #: Sine of the angle between the two lines below which they do not meet in a point.
 _MIN_CROSSING = 0.02
 

@@ -52,7 +52,9 @@ def null_vectors(rows: ArrayLike) -> Array:
     M = np.asarray(rows, dtype=np.float64)
     p, q, r = M[..., 0, :], M[..., 1, :], M[..., 2, :]
     # 2×2 minors of the last two rows, then expansion along the first: a cross product in 4D.
-    minor = {(i, j): q[..., i] * r[..., j] - q[..., j] * r[..., i] for i in range(4) for j in range(i)}
+    minor = {
+        (i, j): q[..., i] * r[..., j] - q[..., j] * r[..., i] for i in range(4) for j in range(i)
+    }
 
     def cofactor(i: int, j: int, k: int) -> Array:
         return np.asarray(
@@ -63,10 +65,12 @@ def null_vectors(rows: ArrayLike) -> Array:
     length = np.linalg.norm(m, axis=-1, keepdims=True)
     # Dependent rows (repeated features, identical views) have no null vector of their own.
     usual = np.sqrt(0.5) * np.array([1.0, 0.0, 1.0, 0.0])
-    return np.where(length > 1e-300, m / np.maximum(length, 1e-300), usual)
+    return np.asarray(np.where(length > 1e-300, m / np.maximum(length, 1e-300), usual))
 
 
-def sampson_residuals(points_a: ArrayLike, points_b: ArrayLike, m: ArrayLike) -> tuple[Array, Array]:
+def sampson_residuals(
+    points_a: ArrayLike, points_b: ArrayLike, m: ArrayLike
+) -> tuple[Array, Array]:
     """Return the Sampson residuals (..., N) of points (N, 2) for m (..., 4), and ∂/∂m (..., 4, N).
 
     To first order a residual has the standard deviation of one image coordinate.
