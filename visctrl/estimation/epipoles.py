@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,10 @@ from hal.types import Velocity
 from robots.documents import Document
 from visctrl.estimation.epipolar_location import LocationFilter
 from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
-from visctrl.geometry.epipolar_planar import ransac_planar_epipoles
-from visctrl.geometry.planar import PlanarMotion, ransac_planar_motion
+from visctrl.estimation.epipole_pairs import PairFollower, Solver, solver_for
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
 Array = NDArray[np.float64]
-Solver = Literal["auto", "planar-free", "planar"]
 
 
 #: Standard deviation of the first guess of the inverse distance (1/m): it hardly counts.
@@ -88,10 +86,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
 
     def __init__(self, options: EpipolesOptions, context: Context) -> None:
         super().__init__(options, context)
-        free = options.solver == "planar-free" or (
-            options.solver == "auto" and not context.camera.panoramic and context.camera.xi == 0.0
-        )
-        self._solve = self._planar_free if free else self._planar
+        self._solver = solver_for(options.solver, context.camera)
         self.reset()
 
     def reset(self) -> None:
@@ -103,6 +98,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         self._aligned: _StoredView | None = None
         self._fixed: EpipolePair | None = None
         self._filter: LocationFilter | None = None
+        self._followers: dict[str, PairFollower] = {}
         self._last = EpipoleEstimate(Health.LOST, "no view yet")
 
     def update(self, views: Views, sent: Velocity, dt: float) -> EpipoleEstimate:
@@ -115,15 +111,16 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         if views.health is Health.LOST:
             self._last = EpipoleEstimate(Health.LOST, views.reason)
             return self._last
-        target = self._pair(views.current, views.target, views.sigma)
-        initial = self._pair(*self._reference_rays(views), views.sigma)
+        sigma, turn = views.sigma, sent.omega * dt
+        target = self._pair("target", (views.current, views.target), sigma, (turn, 0.0))
+        initial = self._pair("initial", self._reference_rays(views), sigma, (0.0, turn))
         if self._fixed is None or self._fixed.health is Health.LOST:
-            self._fixed = self._pair(views.initial, views.target, views.sigma)
+            self._fixed = self._pair("fixed", (views.initial, views.target), sigma, (0.0, 0.0))
         self._locate(views, target, initial)
         self._store(views, target)
         aligned = None
         if self._aligned is not None:
-            aligned = self._pair(*self._aligned.common(views), views.sigma)
+            aligned = self._pair("aligned", self._aligned.common(views), sigma, (0.0, turn))
         self._last = EpipoleEstimate(
             target.health,
             target.reason,
@@ -154,25 +151,19 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
 
     # --- pairs ------------------------------------------------------------------------------
 
-    def _pair(self, rays_a: Array, rays_b: Array, sigma: float) -> EpipolePair:
-        return EpipolePair.of(self._solve(rays_a, rays_b, sigma))
+    def _pair(
+        self, name: str, rays: tuple[Array, Array], sigma: float, turns: tuple[float, float]
+    ) -> EpipolePair:
+        """Return the epipoles of a pair that is followed under ``name``.
 
-    def _planar(self, rays_a: Array, rays_b: Array, sigma: float) -> PlanarMotion:
-        return ransac_planar_motion(
-            rays_a, rays_b, sigma, seed=self._seed(), hypotheses=self.options.hypotheses
-        )
-
-    def _planar_free(self, rays_a: Array, rays_b: Array, sigma: float) -> PlanarMotion:
-        return ransac_planar_epipoles(
-            rays_a[:, [0, 2]] / rays_a[:, 1:2],
-            rays_b[:, [0, 2]] / rays_b[:, 1:2],
-            sigma,
-            seed=self._seed(),
-            hypotheses=self.options.hypotheses,
-        )
-
-    def _seed(self) -> int:
-        return self.context.seed + self._ticks
+        ``turns`` are how far its views were told to turn since the last tick (rad).
+        """
+        follower = self._followers.get(name)
+        if follower is None:
+            follower = PairFollower(self._solver, self.options.hypotheses)
+            self._followers[name] = follower
+        seed = self.context.seed + self._ticks
+        return EpipolePair.of(follower.update(*rays, sigma, turns, seed))
 
     # --- stored views -----------------------------------------------------------------------
 
@@ -203,6 +194,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         off, rho = float(np.arctan2(at.x, -at.y)), float(np.hypot(at.x, at.y))
         if limit < abs(off) < np.pi / 2.0 and rho > 0.0:
             self._reference = _StoredView(views.ids.copy(), views.current.copy())
+            self._followers.pop("initial", None)
             self._fixed = target
             sd = float(np.sqrt(at.covariance[3, 3]))
             self._filter = self._filter_from(target, at.inverse_distance / rho, sd / rho)

@@ -14,6 +14,8 @@ length, and one at infinity (c = 0) is as good as any other. Only the horizon's 
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -38,6 +40,19 @@ _NEAREST = 10.0
 _MAX_NOISE = 50.0
 #: Hypotheses that are refined before the best is chosen.
 _FINALISTS = 4
+
+
+@dataclass(frozen=True)
+class PlanarEpipoles(PlanarMotion):
+    """A planar motion whose bearings are in the units of an assumed calibration.
+
+    ``phi`` is the difference of the baseline's two bearings, B's heading if that calibration
+    is right.
+
+    vector : (4,), m = (c_a, s_a, c_b, s_b) of unit length, pointing from A's centre to B's.
+    """
+
+    vector: Array = field(default_factory=lambda: np.zeros(4))
 
 
 def constraint_rows(points_a: ArrayLike, points_b: ArrayLike) -> Array:
@@ -101,7 +116,7 @@ def ransac_planar_epipoles(
     seed: int = 0,
     threshold_sigmas: float = 4.0,
     hypotheses: int = 96,
-) -> PlanarMotion:
+) -> PlanarEpipoles:
     """Find the planar epipolar geometry that most features agree with, and refine it on them.
 
     Parameters
@@ -116,12 +131,6 @@ def ransac_planar_epipoles(
         Residual (in ``sigma``) beyond which a feature counts as an outlier.
     hypotheses : int
         Number of three-point samples, all scored in one array operation.
-
-    Returns
-    -------
-    PlanarMotion
-        ``direction`` is the bearing of B's centre in A and ``phi`` the difference of the two
-        bearings of the baseline: the heading of B if the assumed calibration is right.
     """
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
     if len(a) < MINIMUM_FEATURES:
@@ -134,12 +143,56 @@ def ransac_planar_epipoles(
     squared = _squared_residuals(a, b, best)
     winner = int(np.argmin(np.minimum(squared, limit**2).sum(axis=-1)))
     plausible = _plausible(_parallax(a, b, best[winner]), sigma)
-    inliers = plausible & (squared[winner] < limit**2)
-    final = _descend(a, b, best[winner : winner + 1], inliers, sigma, iterations=4)
-    inliers = plausible & (_squared_residuals(a, b, final)[0] < limit**2)
-    if int(inliers.sum()) < MINIMUM_FEATURES:
-        found = f"{int(inliers.sum())} of {len(a)} features fit one motion"
-        return _lost(len(a), f"no agreement: {found}, {MINIMUM_FEATURES} are needed")
+    near = plausible & (squared[winner] < limit**2)
+    return _settle(a, b, best[winner], near, plausible, sigma, limit)
+
+
+def refine_planar_epipoles(
+    points_a: ArrayLike,
+    points_b: ArrayLike,
+    start: ArrayLike,
+    sigma: float,
+    *,
+    threshold_sigmas: float = 4.0,
+) -> PlanarEpipoles:
+    """Refine planar epipoles from a nearby start; arguments as for `ransac_planar_epipoles`.
+
+    Parameters
+    ----------
+    start : (4,) array
+        m to start from. Features more than twice the threshold away from it are outliers.
+    """
+    a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
+    m = np.asarray(start, dtype=np.float64)
+    limit = threshold_sigmas * sigma
+    plausible = _plausible(_parallax(a, b, m), sigma) if len(a) else np.zeros(0, dtype=np.bool_)
+    near = plausible & (_squared_residuals(a, b, m[None])[0] < (2.0 * limit) ** 2)
+    return _settle(a, b, m, near, plausible, sigma, limit)
+
+
+def turned(m: ArrayLike, turn_a: float = 0.0, turn_b: float = 0.0) -> Array:
+    """Return m (4,) after the views turned by ``turn_a``, ``turn_b`` (rad, counter-clockwise)."""
+    m = np.asarray(m, dtype=np.float64)
+    result = np.empty(4)
+    for k, turn in ((0, turn_a), (2, turn_b)):
+        c, s = np.cos(turn), np.sin(turn)
+        # A turn to the left moves every bearing to the right.
+        result[k], result[k + 1] = c * m[k] - s * m[k + 1], s * m[k] + c * m[k + 1]
+    return result
+
+
+def _settle(
+    a: Array, b: Array, m: Array, near: Mask, plausible: Mask, sigma: float, limit: float
+) -> PlanarEpipoles:
+    """Refine m on the features ``near`` it and judge the result on all ``plausible`` ones."""
+    final, inliers = m[None], near
+    if int(near.sum()) >= MINIMUM_FEATURES:
+        final = _descend(a, b, final, near, sigma, iterations=4)
+        inliers = plausible & (_squared_residuals(a, b, final)[0] < limit**2)
+    count = int(inliers.sum())
+    if count < MINIMUM_FEATURES:
+        found = f"{count} of {len(a)} features fit one motion, {MINIMUM_FEATURES} are needed"
+        return _lost(len(a), f"no agreement: {found}")
     return _finish(a, b, final[0], inliers, sigma)
 
 
@@ -186,20 +239,18 @@ def _weights(scaled: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2))
 
 
-def _finish(a: Array, b: Array, m: Array, inliers: Mask, sigma: float) -> PlanarMotion:
+def _finish(a: Array, b: Array, m: Array, inliers: Mask, sigma: float) -> PlanarEpipoles:
     a, b = a[inliers], b[inliers]
     residual, jacobian = sampson_residuals(a, b, m)
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
     spread = max(1.0, 1.4826 * float(np.median(np.abs(residual))) / sigma)
     weights = _weights(residual / sigma)
     covariance, reason = _covariance(a, b, m, jacobian, weights, sigma * spread)
+    m = m * _sense(_parallax(a, b, m), sigma)
     direction, bearing_b = _bearings(m)
-    if _sense(_parallax(a, b, m), sigma) < 0.0:
-        direction = float(wrap_angle(direction + np.pi))
-        bearing_b += np.pi
     health = Health.DEGENERATE if reason else Health.OK
     phi = float(wrap_angle(bearing_b - direction))
-    return PlanarMotion(phi, direction, covariance, inliers, health, reason)
+    return PlanarEpipoles(phi, direction, covariance, inliers, health, reason, m)
 
 
 def _bearings(m: Array) -> tuple[float, float]:
@@ -288,6 +339,6 @@ def _rays(points: Array) -> Array:
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
-def _lost(count: int, reason: str) -> PlanarMotion:
+def _lost(count: int, reason: str) -> PlanarEpipoles:
     unknown = np.diag([np.inf, np.inf])
-    return PlanarMotion(0.0, 0.0, unknown, np.zeros(count, dtype=np.bool_), Health.LOST, reason)
+    return PlanarEpipoles(0.0, 0.0, unknown, np.zeros(count, dtype=np.bool_), Health.LOST, reason)
