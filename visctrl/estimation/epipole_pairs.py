@@ -10,27 +10,33 @@ from numpy.typing import NDArray
 
 from hal.central_camera import CentralCamera
 from robots.errors import InputError
+from robots.unicycle import wrap_angle
+from visctrl.geometry.epipolar import Epipole
 from visctrl.geometry.epipolar_planar import (
     PlanarEpipoles,
     ransac_planar_epipoles,
     refine_planar_epipoles,
     turned,
 )
+from visctrl.geometry.epipolar_robust import robust_essential, robust_fundamental
 from visctrl.geometry.planar import (
     PlanarMotion,
     ransac_planar_motion,
     refine_planar_motion,
     sampson_residuals,
+    signed_parallax,
 )
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
-Solver = Literal["auto", "planar-free", "planar"]
+Solver = Literal["auto", "planar-free", "planar", "eight-point"]
 
 #: A followed motion is kept while this share of the features agrees with it.
 _MIN_SHARE = 0.6
 #: Features further than this from the predicted motion are outliers (standard deviations).
 _GATE_SIGMAS = 8.0
+#: Parallax (rad) from which a feature has a full vote on the sense of the motion.
+_FAR_PARALLAX = 0.005
 #: Rays less far forward than this have no place in a perspective image.
 _MIN_FORWARD = 1e-3
 
@@ -83,6 +89,58 @@ class Uncalibrated:
         return refine_planar_epipoles(*_points(a, b), turned(near.vector, *turns), sigma)
 
 
+class EightPoint:
+    """General motion by the 8-point solution, for comparison: nothing is assumed to be planar.
+
+    Rays give an essential matrix; a perspective camera's points a fundamental matrix, whose
+    epipoles are then in the units of the assumed calibration.
+    """
+
+    def __init__(self, *, uncalibrated: bool) -> None:
+        self._uncalibrated = uncalibrated
+
+    def search(self, a: Array, b: Array, sigma: float, hypotheses: int, seed: int) -> PlanarMotion:
+        """Return the planar part of the general motion that most of the rays agree with."""
+        if self._uncalibrated:
+            points = _points(a, b)
+            found = robust_fundamental(*points, sigma, seed=seed, max_hypotheses=hypotheses)
+            e_a, e_b = (_upright(e) for e in (found.epipole_a, found.epipole_b))
+        else:
+            found = robust_essential(a, b, sigma, seed=seed, max_hypotheses=hypotheses)
+            e_a, e_b = found.epipole_a, found.epipole_b
+        if found.health is Health.LOST:
+            unknown = np.diag([np.inf, np.inf])
+            return PlanarMotion(0.0, 0.0, unknown, found.inliers, found.health, found.degeneracy)
+        theta, turn = _senses(a[found.inliers], b[found.inliers], e_a.bearing, e_b.bearing)
+        var_a, var_b = e_a.bearing_sd**2, e_b.bearing_sd**2
+        covariance = np.array([[var_a + var_b, -var_a], [-var_a, var_a]])
+        return PlanarMotion(
+            turn, theta, covariance, found.inliers, found.health, str(found.degeneracy)
+        )
+
+    def refine(
+        self, a: Array, b: Array, near: PlanarMotion, turns: tuple[float, float], sigma: float
+    ) -> PlanarMotion:
+        """Return a new search: the general solution gains nothing from the last one."""
+        del near, turns
+        return self.search(a, b, sigma, hypotheses=256, seed=len(a))
+
+
+def _upright(epipole: Epipole) -> Epipole:
+    """Return an epipole (x, y, 1)-wise as one along (right, forward, up)."""
+    order = [0, 2, 1]
+    return Epipole(epipole.direction[order], epipole.covariance[np.ix_(order, order)])
+
+
+def _senses(a: Array, b: Array, theta: float, alpha: float) -> tuple[float, float]:
+    """Return the bearing of b's centre and b's heading from the baseline's two line angles."""
+    turns = [float(wrap_angle(alpha - theta + half)) for half in (0.0, np.pi)]
+    misfits = [float(np.median(np.abs(sampson_residuals(a, b, t, theta)[0]))) for t in turns]
+    turn = turns[int(np.argmin(misfits))]
+    votes = np.tanh(signed_parallax(a, b, turn, theta) / _FAR_PARALLAX)
+    return float(wrap_angle(theta if votes.sum() >= 0.0 else theta + np.pi)), turn
+
+
 def solver_for(name: Solver, camera: CentralCamera) -> PairSolver:
     """Return a solver by name.
 
@@ -92,6 +150,8 @@ def solver_for(name: Solver, camera: CentralCamera) -> PairSolver:
         ``planar-free`` for a camera that is not perspective.
     """
     perspective = camera.xi == 0.0 and not camera.panoramic
+    if name == "eight-point":
+        return EightPoint(uncalibrated=perspective)
     if name == "auto":
         return Uncalibrated() if perspective else Calibrated()
     if name == "planar":
