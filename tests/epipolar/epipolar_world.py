@@ -74,7 +74,10 @@ class World:
         pixels, seen = self._project(self.points, pose)
         pixels = pixels + self.rng.normal(0.0, self.noise_px or 1e-12, pixels.shape)
         wrong = self.rng.random(len(pixels)) < self.outliers
-        pixels[wrong] += self.rng.normal(0.0, 40.0, pixels.shape)[wrong]
+        angle = self.rng.uniform(-np.pi, np.pi, len(pixels))
+        off = self.rng.uniform(20.0, 80.0, len(pixels))[:, None]
+        away = off * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        pixels[wrong] += away[wrong]
         return pixels, seen
 
     def views(self, pose, stamp: float) -> Views:

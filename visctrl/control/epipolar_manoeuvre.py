@@ -63,7 +63,7 @@ class ManoeuvreOptions(Document):
     omega_deg_s : bound of the turning rate.
     """
 
-    aligned_deg: Positive = 6.0
+    aligned_deg: Positive = 4.0
     lateral_deg: Positive = 55.0
     leave_deg: Positive = 11.0
     enter_deg: Positive = 38.0

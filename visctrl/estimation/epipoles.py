@@ -44,7 +44,7 @@ class EpipolesOptions(Document):
     hypotheses: Annotated[int, Field(ge=8, le=2000)] = 64
     sd_limit_rad: Annotated[float, Field(gt=0)] = 0.1
     distance_m: Annotated[float, Field(gt=0)] = 10.0
-    slip: Annotated[float, Field(ge=0)] = 0.02
+    slip: Annotated[float, Field(ge=0)] = 0.05
     aligned_after_s: Annotated[float, Field(ge=0)] | None = None
     aligned_deg: Annotated[float, Field(gt=0)] = 2.0
     reference_deg: Annotated[float, Field(ge=0)] = 10.0

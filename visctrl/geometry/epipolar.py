@@ -70,6 +70,26 @@ def essential(M: ArrayLike) -> Array:
     return np.asarray((U * np.array([1.0, 1.0, 0.0])) @ Vt)
 
 
+def singular_tangent(M: ArrayLike) -> Array:
+    """Return an orthonormal basis (7, 9) of the changes of M (3, 3) that keep rank and norm."""
+    M = np.asarray(M, dtype=np.float64)
+    U, _, Vt = np.linalg.svd(M)
+    fixed = np.stack([np.outer(U[:, 2], Vt[2]).ravel(), M.ravel()])
+    return np.asarray(np.linalg.svd(fixed)[2][2:])
+
+
+def essential_tangent(M: ArrayLike) -> Array:
+    """Return an orthonormal basis (5, 9) of the changes of M (3, 3) that keep it essential."""
+    U, _, Vt = np.linalg.svd(np.asarray(M, dtype=np.float64))
+    D = np.diag([1.0, 1.0, 0.0])
+    turns = np.zeros((3, 3, 3))
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        turns[k, i, j], turns[k, j, i] = -1.0, 1.0
+    changes = np.concatenate([U @ turns @ D @ Vt, U @ D @ turns @ Vt]).reshape(6, 9)
+    return np.asarray(np.linalg.svd(changes)[2][:5])
+
+
 def conditioning(points: ArrayLike) -> Array:
     """Return T (3, 3): T x has its centroid at the origin and a mean distance of √2 from it.
 
@@ -105,6 +125,25 @@ def sampson_scale(M: ArrayLike, a: Array, b: Array, *, planar_image: bool) -> tu
         by_b[..., :measured] ** 2, axis=-1
     )
     return error, np.sqrt(np.maximum(squared, 1e-300))
+
+
+def sampson_residuals(
+    M: ArrayLike, a: Array, b: Array, *, planar_image: bool
+) -> tuple[Array, Array]:
+    """Return the Sampson residuals (N,) of M (3, 3), and ∂/∂M's elements (N, 9).
+
+    Arguments as for `sampson_scale`. To first order a residual has the standard deviation of one
+    measured coordinate.
+    """
+    M = np.asarray(M, dtype=np.float64)
+    error, scale = sampson_scale(M, a, b, planar_image=planar_image)
+    by_a, by_b = b @ M.T, a @ M
+    if planar_image:
+        by_a[:, 2] = by_b[:, 2] = 0.0
+    residual = error / scale
+    change = constraint_rows(by_a, b) + constraint_rows(a, by_b)
+    jacobian = constraint_rows(a, b) - (residual / scale)[:, None] * change
+    return residual, np.asarray(jacobian / scale[:, None])
 
 
 def epipoles(M: ArrayLike, covariance: ArrayLike) -> tuple[Epipole, Epipole]:

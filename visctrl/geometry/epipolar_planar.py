@@ -36,8 +36,8 @@ _SIGNIFICANCE = 5.0
 _MAX_SD = 0.5
 #: A feature's parallax is at most this many times the usual one.
 _NEAREST = 10.0
-#: Noise of a row (in σ²) beyond which it says nothing.
-_MAX_NOISE = 50.0
+#: Noise of a row, in multiples of the usual one, beyond which it says nothing.
+_MAX_NOISE = 10.0
 #: Hypotheses that are refined before the best is chosen.
 _FINALISTS = 4
 
@@ -186,9 +186,10 @@ def _settle(
 ) -> PlanarEpipoles:
     """Refine m on the features ``near`` it and judge the result on all ``plausible`` ones."""
     final, inliers = m[None], near
-    if int(near.sum()) >= MINIMUM_FEATURES:
-        final = _descend(a, b, final, near, sigma, iterations=4)
-        inliers = plausible & (_squared_residuals(a, b, final)[0] < limit**2)
+    for _ in range(2):
+        if int(inliers.sum()) >= MINIMUM_FEATURES:
+            final = _descend(a, b, final, inliers, sigma, iterations=3)
+            inliers = plausible & (_squared_residuals(a, b, final)[0] < limit**2)
     count = int(inliers.sum())
     if count < MINIMUM_FEATURES:
         found = f"{count} of {len(a)} features fit one motion, {MINIMUM_FEATURES} are needed"
@@ -291,8 +292,9 @@ def _covariance(
     """
     basis = np.linalg.svd(m[None, :])[2][1:].T
     noise = _row_noise(a, b, m, basis)
-    # Features close to the baseline and the horizon have rows of nothing but noise.
-    weights = np.where(np.trace(noise, axis1=1, axis2=2) < _MAX_NOISE, weights, 0.0)
+    # Features close to both the baseline and the horizon have rows of nothing but noise.
+    loudness = np.trace(noise, axis1=1, axis2=2)
+    weights = np.where(loudness < _MAX_NOISE * np.median(loudness), weights, 0.0)
     noise *= weights[:, None, None]
     J = basis.T @ jacobian
     info = (weights * J) @ J.T

@@ -16,9 +16,12 @@ from visctrl.geometry.epipolar import (
     constraint_rows,
     epipoles,
     essential,
+    essential_tangent,
     null_matrices,
+    sampson_residuals,
     sampson_scale,
     singular,
+    singular_tangent,
 )
 from visctrl.plugins import Health
 
@@ -29,13 +32,15 @@ Mask = NDArray[np.bool_]
 _BATCH = 256
 #: Hypotheses of a batch that are refined on their inliers.
 _FINALISTS = 4
-_REFINEMENTS = 8
+_REFINEMENTS = 5
+#: Gauss–Newton steps on the best matrix, and the longest of them (of a unit matrix).
+_DESCENTS, _LONGEST_STEP = 10, 0.2
 #: Probability of having drawn one clean sample after which the search ends.
 _CONFIDENCE = 0.999
 #: Scale of the soft-L1 kernel in standard deviations of the residual.
 _KERNEL_SIGMAS = 1.5
-#: The second smallest singular value must exceed the noise's share by this many times.
-_SIGNIFICANCE = 3.0
+#: A second solution is ruled out by this many standard deviations of the noise's share.
+_SIGNIFICANCE = 5.0
 #: Standard deviation of an epipole (rad) beyond which it counts as undetermined.
 _MAX_SD = 0.5
 #: Least share of the widest spread that features must have across it.
@@ -87,10 +92,19 @@ class _Problem:
     sigma: float
     planar_image: bool
     project: Callable[[ArrayLike], Array]
+    tangent: Callable[[ArrayLike], Array]
+
+    def sampson(self, M: Array) -> tuple[Array, Array]:
+        """Return algebraic errors (..., N) and the norms of their gradients."""
+        return sampson_scale(M, self.a, self.b, planar_image=self.planar_image)
+
+    def kernel(self, squared: Array) -> Array:
+        """Return the square roots of the soft-L1 weights of squared residuals."""
+        return np.asarray((1.0 + squared / (_KERNEL_SIGMAS * self.sigma) ** 2) ** -0.25)
 
     def squared(self, M: Array) -> Array:
         """Return squared Sampson residuals (..., N)."""
-        error, scale = sampson_scale(M, self.a, self.b, planar_image=self.planar_image)
+        error, scale = self.sampson(M)
         return np.asarray((error / scale) ** 2)
 
 
@@ -100,7 +114,7 @@ def robust_essential(
     sigma: float,
     *,
     seed: int = 0,
-    threshold_sigmas: float = 3.5,
+    threshold_sigmas: float = 2.5,
     max_hypotheses: int = 4096,
 ) -> EpipolarGeometry:
     """Find the essential matrix of unit rays (N, 3) of any central camera.
@@ -119,7 +133,7 @@ def robust_essential(
         The search ends earlier once it is certain enough.
     """
     a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
-    problem = _Problem(a, b, sigma, False, essential)
+    problem = _Problem(a, b, sigma, False, essential, essential_tangent)
     return _search(problem, threshold_sigmas, max_hypotheses, seed)
 
 
@@ -129,7 +143,7 @@ def robust_fundamental(
     sigma: float,
     *,
     seed: int = 0,
-    threshold_sigmas: float = 3.5,
+    threshold_sigmas: float = 2.5,
     max_hypotheses: int = 4096,
 ) -> EpipolarGeometry:
     """Find the fundamental matrix of image points (N, 2) of a perspective camera.
@@ -149,7 +163,7 @@ def robust_fundamental(
     T_a, T_b = conditioning(a), conditioning(b)
     # One noise level for both: the geometric mean of the two scalings.
     scaled = sigma * float(np.sqrt(T_a[0, 0] * T_b[0, 0]))
-    problem = _Problem(a @ T_a.T, b @ T_b.T, scaled, True, singular)
+    problem = _Problem(a @ T_a.T, b @ T_b.T, scaled, True, singular, singular_tangent)
     found = _search(problem, threshold_sigmas, max_hypotheses, seed)
     if found.health is Health.LOST:
         return found
@@ -175,7 +189,7 @@ def _search(
     best, best_cost, drawn = np.zeros((3, 3)), np.inf, 0
     while drawn < max_hypotheses:
         samples = rng.random((_BATCH, count)).argpartition(MINIMUM_FEATURES - 1, axis=1)
-        M = problem.project(null_matrices(rows[samples[:, :MINIMUM_FEATURES]]))
+        M = null_matrices(rows[samples[:, :MINIMUM_FEATURES]])
         drawn += _BATCH
         cost = np.minimum(problem.squared(M), limit2).sum(axis=-1)
         for index in np.argsort(cost)[:_FINALISTS]:
@@ -195,43 +209,100 @@ def _refined(problem: _Problem, rows: Array, M: Array, limit2: float) -> Array:
         weighted = _weighted_rows(problem, rows, M, limit2)
         if weighted is None:
             break
-        M = problem.project(null_matrices(weighted))
+        M = singular(null_matrices(weighted))
     return M
 
 
 def _weighted_rows(problem: _Problem, rows: Array, M: Array, limit2: float) -> Array | None:
     """Return the inliers' rows of unit noise (in ``sigma``), or None if they are too few."""
-    error, scale = sampson_scale(M, problem.a, problem.b, planar_image=problem.planar_image)
-    squared = (error / scale) ** 2
-    inside = squared < limit2
+    weights = _weights(problem, M, limit2)
+    inside = weights > 0.0
     if int(inside.sum()) <= MINIMUM_FEATURES:
         return None
-    kernel = (1.0 + squared[inside] / (_KERNEL_SIGMAS * problem.sigma) ** 2) ** -0.25
-    weighted = rows[inside] * (kernel / scale[inside])[:, None]
-    return np.asarray(weighted)
+    return np.asarray(rows[inside] * weights[inside, None])
 
 
-def _judge(problem: _Problem, rows: Array, M: Array, limit2: float) -> EpipolarGeometry:
-    """Return M with its epipoles, their covariances, and the name of what is not determined."""
-    inliers = np.asarray(problem.squared(M) < limit2)
-    weighted = _weighted_rows(problem, rows, M, limit2)
-    if weighted is None:
+def _weights(problem: _Problem, M: Array, limit2: float) -> Array:
+    """Return the weight (N,) of each row: soft-L1 over Sampson's scale, 0 for an outlier."""
+    error, scale = problem.sampson(M)
+    squared = (error / scale) ** 2
+    return np.where(squared < limit2, problem.kernel(squared) / scale, 0.0)
+
+
+def _descend(problem: _Problem, start: Array, limit2: float) -> Array:
+    """Return the matrix after Gauss–Newton steps that keep it essential or singular.
+
+    The linear solution is biased where the noise moves Sampson's scale itself; this one is not.
+    """
+    M = problem.project(start)
+    M = M / np.linalg.norm(M)
+    for _ in range(_DESCENTS):
+        residual, jacobian = sampson_residuals(
+            M, problem.a, problem.b, planar_image=problem.planar_image
+        )
+        tangent = problem.tangent(M)
+        weights = np.where(residual**2 < limit2, problem.kernel(residual**2), 0.0)
+        J = (weights[:, None] * jacobian) @ tangent.T
+        information = J.T @ J
+        damping = 1e-9 * max(float(information.trace()), 1e-300) * np.eye(len(tangent))
+        step = np.linalg.solve(information + damping, -J.T @ (weights * residual))
+        step *= min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
+        M = problem.project(M + (step @ tangent).reshape(3, 3))
+        M = M / np.linalg.norm(M)
+    return np.asarray(M)
+
+
+def _judge(problem: _Problem, rows: Array, start: Array, limit2: float) -> EpipolarGeometry:
+    """Return the refined matrix, its epipoles, and the name of what is not determined."""
+    M = _descend(problem, start, limit2)
+    weights = _weights(problem, M, limit2)
+    inliers = np.asarray(weights > 0.0)
+    if int(inliers.sum()) <= MINIMUM_FEATURES:
         return _nothing(len(rows), Degeneracy.NO_AGREEMENT)
-    values, vectors = np.linalg.eigh(weighted.T @ weighted)
-    # Noise alone fills every direction with about its own share of the rows' energy.
-    share = problem.sigma**2 * len(weighted)
-    clear = np.maximum(values[1:] - share, 1e-12 * values[-1])
-    covariance = problem.sigma**2 * (vectors[:, 1:] / clear) @ vectors[:, 1:].T
+    weighted = rows * weights[:, None]
+    tangent = problem.tangent(M)
+    axes, signal, needed = _information(problem, weights, weighted, tangent)
+    known = np.maximum(signal, 1e-12 * signal[-1])
+    covariance = (axes.T * (problem.sigma**2 / known)) @ axes
     epipole_a, epipole_b = epipoles(M, covariance)
-    degeneracy = Degeneracy.NONE
     widest = max(epipole_a.covariance.trace(), epipole_b.covariance.trace())
+    degeneracy = Degeneracy.NONE
     if _clustered(problem, inliers):
         degeneracy = Degeneracy.CLUSTERED
-    elif values[1] < _SIGNIFICANCE * share:
+    elif _many_solutions(problem, weights, weighted):
         degeneracy = Degeneracy.MANY_SOLUTIONS
-    elif widest > _MAX_SD**2:
+    elif signal[0] < needed[0] or widest > _MAX_SD**2:
         degeneracy = Degeneracy.SHORT_BASELINE
-    return EpipolarGeometry(M / np.linalg.norm(M), epipole_a, epipole_b, inliers, degeneracy)
+    return EpipolarGeometry(M, epipole_a, epipole_b, inliers, degeneracy)
+
+
+def _many_solutions(problem: _Problem, weights: Array, weighted: Array) -> bool:
+    """Return whether the linear system has a second solution within the noise."""
+    _, signal, needed = _information(problem, weights, weighted, np.eye(9))
+    return bool(signal[1] < needed[1])
+
+
+def _information(
+    problem: _Problem, weights: Array, weighted: Array, basis: Array
+) -> tuple[Array, Array, Array]:
+    """Return what the features tell of M within the span of ``basis`` (k, 9).
+
+    Returns
+    -------
+    axes : (k, 9) array
+        Principal directions, the least known first.
+    signal : (k,) array
+        Information along each (of unit noise), less what noise alone would put there.
+    needed : (k,) array
+        What it must exceed to be more than a chance result of that noise.
+    """
+    J = weighted @ basis.T
+    values, vectors = np.linalg.eigh(J.T @ J)
+    axes = vectors.T @ basis
+    _, scales = problem.sampson(axes.reshape(-1, 3, 3))
+    noise = (problem.sigma * scales * weights) ** 2
+    needed = _SIGNIFICANCE * np.sqrt(2.0 * (noise**2).sum(axis=1))
+    return axes, values - noise.sum(axis=1), needed
 
 
 def _clustered(problem: _Problem, inliers: Mask) -> bool:
