@@ -35,6 +35,8 @@ Solver = Literal["auto", "planar-free", "planar", "eight-point"]
 _MIN_SHARE = 0.6
 #: Features further than this from the predicted motion are outliers (standard deviations).
 _GATE_SIGMAS = 8.0
+#: While the motion is not determined, every so many calls search it anew.
+_SEARCH_EVERY = 4
 #: Parallax (rad) from which a feature has a full vote on the sense of the motion.
 _FAR_PARALLAX = 0.005
 #: Rays less far forward than this have no place in a perspective image.
@@ -171,6 +173,13 @@ class PairFollower:
         self._solver = solver
         self._hypotheses = hypotheses
         self._last: PlanarMotion | None = None
+        self._calls = 0
+
+    def _may_follow(self, last: PlanarMotion) -> bool:
+        """Return whether the last motion is a start; one that is not determined may mislead."""
+        if last.health is Health.DEGENERATE:
+            return self._calls % _SEARCH_EVERY != 0
+        return last.health is Health.OK
 
     def update(
         self, a: Array, b: Array, sigma: float, turns: tuple[float, float], seed: int
@@ -189,7 +198,8 @@ class PairFollower:
             Of a search from scratch.
         """
         motion: PlanarMotion | None = None
-        if self._last is not None and self._last.health is Health.OK:
+        self._calls += 1
+        if self._last is not None and self._may_follow(self._last):
             motion = self._solver.refine(a, b, self._last, turns, sigma)
             agreeing = int(motion.inliers.sum())
             if motion.health is Health.LOST or agreeing < _MIN_SHARE * len(a):

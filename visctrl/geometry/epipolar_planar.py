@@ -92,7 +92,8 @@ def sampson_residuals(
     """
     xa, ya = np.asarray(points_a, dtype=np.float64).T
     xb, yb = np.asarray(points_b, dtype=np.float64).T
-    ca, sa, cb, sb = np.moveaxis(np.asarray(m, dtype=np.float64), -1, 0)[..., None]
+    m = np.asarray(m, dtype=np.float64)
+    ca, sa, cb, sb = (m[..., k, None] for k in range(4))
     across_a, across_b = xa * ca - sa, xb * cb - sb
     along_a, along_b = yb * ca, ya * cb
     variance = along_a**2 + along_b**2 + across_a**2 + across_b**2
@@ -142,9 +143,9 @@ def ransac_planar_epipoles(
     best = _descend(a, b, best, _squared_residuals(a, b, best) < limit**2, sigma, iterations=2)
     squared = _squared_residuals(a, b, best)
     winner = int(np.argmin(np.minimum(squared, limit**2).sum(axis=-1)))
-    plausible = _plausible(_parallax(a, b, best[winner]), sigma)
+    forward, plausible = _directed(a, b, best[winner], sigma)
     near = plausible & (squared[winner] < limit**2)
-    return _settle(a, b, best[winner], near, plausible, sigma, limit)
+    return _settle(a, b, forward, near, plausible, sigma, limit)
 
 
 def refine_planar_epipoles(
@@ -165,9 +166,11 @@ def refine_planar_epipoles(
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
     m = np.asarray(start, dtype=np.float64)
     limit = threshold_sigmas * sigma
-    plausible = _plausible(_parallax(a, b, m), sigma) if len(a) else np.zeros(0, dtype=np.bool_)
+    if len(a) < MINIMUM_FEATURES:
+        return _lost(len(a), f"too few features: {len(a)}, {MINIMUM_FEATURES} are needed")
+    forward, plausible = _directed(a, b, m, sigma)
     near = plausible & (_squared_residuals(a, b, m[None])[0] < (2.0 * limit) ** 2)
-    return _settle(a, b, m, near, plausible, sigma, limit)
+    return _settle(a, b, forward, near, plausible, sigma, limit)
 
 
 def turned(m: ArrayLike, turn_a: float = 0.0, turn_b: float = 0.0) -> Array:
@@ -186,9 +189,9 @@ def _settle(
 ) -> PlanarEpipoles:
     """Refine m on the features ``near`` it and judge the result on all ``plausible`` ones."""
     final, inliers = m[None], near
-    for _ in range(2):
+    for iterations in (3, 2):
         if int(inliers.sum()) >= MINIMUM_FEATURES:
-            final = _descend(a, b, final, inliers, sigma, iterations=3)
+            final = _descend(a, b, final, inliers, sigma, iterations)
             inliers = plausible & (_squared_residuals(a, b, final)[0] < limit**2)
     count = int(inliers.sum())
     if count < MINIMUM_FEATURES:
@@ -247,7 +250,6 @@ def _finish(a: Array, b: Array, m: Array, inliers: Mask, sigma: float) -> Planar
     spread = max(1.0, 1.4826 * float(np.median(np.abs(residual))) / sigma)
     weights = _weights(residual / sigma)
     covariance, reason = _covariance(a, b, m, jacobian, weights, sigma * spread)
-    m = m * _sense(_parallax(a, b, m), sigma)
     direction, bearing_b = _bearings(m)
     health = Health.DEGENERATE if reason else Health.OK
     phi = float(wrap_angle(bearing_b - direction))
@@ -259,27 +261,22 @@ def _bearings(m: Array) -> tuple[float, float]:
     return float(np.arctan2(m[1], m[0])), float(np.arctan2(m[3], m[2]))
 
 
-def _parallax(a: Array, b: Array, m: Array) -> Array:
-    """Return the parallax (N,) of the features (rad), negative where they meet behind a view."""
-    direction, bearing_b = _bearings(m)
-    return signed_parallax(_rays(a), _rays(b), bearing_b - direction, direction)
+def _directed(a: Array, b: Array, m: Array, sigma: float) -> tuple[Array, Mask]:
+    """Return m or −m, whichever puts the points in front of the views, and who agrees.
 
-
-def _sense(parallax: Array, sigma: float) -> float:
-    """Return 1 if most features meet in front of the views, else −1: then m points backwards."""
-    return 1.0 if float(np.tanh(parallax / (3.0 * sigma)).sum()) >= 0.0 else -1.0
-
-
-def _plausible(parallax: Array, sigma: float) -> Mask:
-    """Return whether each parallax (N,) is one that a point of the scene can have.
-
-    An outlier that happens to lie near its epipolar plane passes the residual test, and with a
-    short baseline its huge parallax would outweigh all others.
+    A feature agrees when its parallax is one that a point of the scene can have. An outlier that
+    happens to lie near its epipolar plane passes the residual test, and with a short baseline
+    its huge parallax would outweigh all others.
     """
-    forward = parallax * _sense(parallax, sigma)
+    direction, bearing_b = _bearings(m)
+    parallax = signed_parallax(_rays(a), _rays(b), bearing_b - direction, direction)
+    # Far points vote with less weight, gross errors with no more than a good point.
+    sense = 1.0 if float(np.tanh(parallax / (3.0 * sigma)).sum()) >= 0.0 else -1.0
+    forward = parallax * sense
     noise = 8.0 * sigma
     usual = float(np.median(np.abs(forward)))
-    return np.asarray((forward > -noise) & (forward < max(_NEAREST * usual, noise)))
+    plausible = (forward > -noise) & (forward < max(_NEAREST * usual, noise))
+    return sense * m, np.asarray(plausible)
 
 
 def _covariance(
