@@ -43,7 +43,7 @@ class Transfer(NamedTuple):
 def bearings(rays: ArrayLike) -> Array:
     """Return the bearings (..., ) of robot rays (..., 3), clockwise from forward (rad)."""
     rays = np.asarray(rays, dtype=np.float64)
-    return np.arctan2(rays[..., 0], rays[..., 1])
+    return np.asarray(np.arctan2(rays[..., 0], rays[..., 1]), dtype=np.float64)
 
 
 def wrap_half_turn(angle: ArrayLike) -> Array:
