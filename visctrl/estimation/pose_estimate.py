@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.types import Pose
-from visctrl.plugins import Estimate
+from visctrl.plugins import Estimate, Health
 
 Array = NDArray[np.float64]
 
@@ -25,22 +25,31 @@ class Need(StrEnum):
     NOTHING = "nothing"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PoseEstimate(Estimate):
     """Pose of the camera in the target's frame.
 
     pose : current pose (m, m, rad).
-    covariance : (3, 3), of the pose.
-    initial : pose from which the initial view was taken; the metric of the plane may still be
-        refined during a run, and a path planned from here moves with it.
-    need : what is missing before the other fields mean anything.
-    nis : normalised innovation squared of this tick's measurement, 0 without one.
-    nis_dof : its dimension.
+    covariance : (3, 3), of the pose; infinite while it is unknown.
+    initial : pose from which the initial view was taken. It may still be refined during a run,
+        and a path planned from it moves with it.
+    need : what is missing before the pose means anything.
     """
 
-    pose: Pose = Pose(0.0, 0.0, 0.0)
-    covariance: Array = np.full((3, 3), np.inf)
-    initial: Pose = Pose(0.0, 0.0, 0.0)
+    pose: Pose
+    covariance: Array
+    initial: Pose
     need: Need = Need.NOTHING
-    nis: float = 0.0
-    nis_dof: int = 0
+
+    @classmethod
+    def unknown(cls, need: Need, health: Health, reason: str) -> PoseEstimate:
+        """Return the estimate of an estimator that does not know where it is yet."""
+        nowhere = Pose(0.0, 0.0, 0.0)
+        return cls(
+            health=health,
+            reason=reason,
+            pose=nowhere,
+            covariance=np.full((3, 3), np.inf),
+            initial=nowhere,
+            need=need,
+        )
