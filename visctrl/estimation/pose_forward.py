@@ -48,6 +48,7 @@ class ForwardLeg:
         self.travelled = 0.0
         self._fixed: dict[int, _Fixed] = {}
         self._motions: list[Array] = []
+        self._turn_variances: list[float] = []
         self._seen: list[tuple[Ids, Array, Array]] = []
 
     @property
@@ -70,6 +71,7 @@ class ForwardLeg:
             if name not in self._fixed:
                 self._fixed[name] = _Fixed(*fixed)
         self._motions.append(self.motion)
+        self._turn_variances.append(float(self.spread[2, 2]))
         self._seen.append((views.ids, bearings(views.current), sigma[2]))
 
     def collected(self, most: int) -> tuple[Ids, Leg]:
@@ -92,6 +94,7 @@ class ForwardLeg:
             sigma1=np.array([f.sigma1 for f in fixed])[keep],
             sigma3=np.array([f.sigma3 for f in fixed])[keep],
             motion=np.array(self._motions),
+            turn_variance=np.array(self._turn_variances),
             theta2=theta2[:, keep],
             sigma2=sigma2[:, keep],
         )

@@ -27,6 +27,7 @@ class Leg:
     theta1, theta3 : (N,) bearings in the initial and the target view (rad).
     sigma1, sigma3 : (N,) their standard deviations.
     motion : (F, 3) camera pose relative to C1 by dead reckoning (m, m, rad).
+    turn_variance : (F,) variance of the heading in ``motion`` (rad²), never falling.
     theta2, sigma2 : (F, N) bearings on the way and their standard deviations; NaN where a
         feature was not seen.
     """
@@ -36,6 +37,7 @@ class Leg:
     sigma1: Array
     sigma3: Array
     motion: Array
+    turn_variance: Array
     theta2: Array
     sigma2: Array
 
@@ -64,40 +66,20 @@ def binned(leg: Leg, bins: int = 8) -> Leg:
     return replace(
         leg,
         motion=motion,
+        turn_variance=members @ leg.turn_variance / members.sum(axis=1),
         theta2=leg.theta1 + motion[:, 2:] + mean,
         sigma2=np.sqrt(variance / some),
     )
 
 
 def search_starts(leg: Leg, count: int, step_deg: float = 8.0) -> Array:
-    """Return up to ``count`` promising (β, φ1, q), (S, 3), by a search over both angles.
-
-    Each feature's bearing changes along the leg give its inverse range, which is linear in q
-    once β and φ1 are supposed, so that a plane of hypotheses is scored in one array operation.
-    """
-    inverse_range, variance = _inverse_ranges(leg)
-    known = np.isfinite(inverse_range)
-    rho, variance = inverse_range[known], variance[known]
+    """Return up to ``count`` promising (β, φ1, q), (S, 3), by a search over both angles."""
     angles = np.radians(np.arange(-180.0, 180.0, step_deg))
     beta, phi = (part.ravel() for part in np.meshgrid(angles, angles, indexing="ij"))
-    alpha1 = leg.theta1[known] - phi[:, None]
-    theta3 = leg.theta3[known]
-    # C1 × d3 over d3 × d1 is the range from C1 in units of |C1|.
-    reach = np.sin(beta[:, None] + theta3)
-    reach = np.where(np.abs(reach) < 0.05, np.copysign(0.05, reach), reach)
-    parallax = np.sin(theta3 - alpha1)
-    k = parallax / reach
     # Half a cell of the search shifts the prediction by some 20 % of the value.
-    weight = 1.0 / (variance + (0.2 * rho) ** 2)
-    pull = np.ones_like(k)
-    q = np.zeros(len(k))
-    for _ in range(3):
-        q = np.sum(pull * weight * k * rho, axis=1) / np.sum(pull * weight * k * k, axis=1)
-        scaled = np.abs(rho - q[:, None] * k) * np.sqrt(weight)
-        pull = np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12))
-    score = np.sum(np.where(scaled < HUBER, scaled**2, HUBER * (2 * scaled - HUBER)), axis=1)
+    q, score = scale_of(leg, beta, phi, spread=0.2)
     # The same k fits a start turned by half a circle about the target, points behind it.
-    score[(q <= 0.0) | ~in_front(leg, np.stack([beta, phi], axis=-1))] = np.inf
+    score[(q <= 0.0) | ~in_front(leg.theta1, leg.theta3, np.stack([beta, phi], axis=-1))] = np.inf
     return _spread_minima(np.stack([beta, phi, q], axis=-1), score, count)
 
 
@@ -123,11 +105,47 @@ def _inverse_ranges(leg: Leg) -> tuple[Array, Array]:
     return rho, noise + common
 
 
-def in_front(leg: Leg, common: Array) -> Mask:
-    """Return which solutions (S, 3) have their points in front of the first and third view."""
-    beta, alpha1 = common[:, :1], leg.theta1 - common[:, 1:2]
-    parallax = np.sin(leg.theta3 - alpha1)
-    range1, range3 = np.sin(beta + leg.theta3), np.sin(beta + alpha1)
+def scale_of(leg: Leg, beta: Array, phi: Array, spread: float = 0.05) -> tuple[Array, Array]:
+    """Return the scale q (S,) that supposed angles (S,) of C1 imply, and how badly it fits (S,).
+
+    Each feature's bearing changes along the leg give its inverse range, which is linear in q
+    once β and φ1 are supposed, so that a plane of hypotheses is scored in one array operation.
+
+    Parameters
+    ----------
+    leg : Leg
+    beta, phi : (S,) arrays
+        Direction and heading of C1 (rad).
+    spread : float
+        Standard deviation of an inverse range, as a fraction, that is due to the angles.
+    """
+    inverse_range, variance = _inverse_ranges(leg)
+    known = np.isfinite(inverse_range)
+    rho, variance = inverse_range[known], variance[known]
+    theta3 = leg.theta3[known]
+    # C1 × d3 over d3 × d1 is the range from C1 in units of |C1|.
+    reach = np.sin(beta[:, None] + theta3)
+    reach = np.where(np.abs(reach) < 0.05, np.copysign(0.05, reach), reach)
+    k = np.sin(theta3 - leg.theta1[known] + phi[:, None]) / reach
+    weight = 1.0 / (variance + (spread * rho) ** 2)
+    pull = np.ones_like(k)
+    for _ in range(3):
+        q = np.sum(pull * weight * k * rho, axis=1) / np.sum(pull * weight * k * k, axis=1)
+        scaled = np.abs(rho - q[:, None] * k) * np.sqrt(weight)
+        pull = np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12))
+    loss = np.where(scaled < HUBER, scaled**2, HUBER * (2 * scaled - HUBER))
+    return q, np.sum(loss, axis=1)
+
+
+def in_front(theta1: Array, theta3: Array, common: Array) -> Mask:
+    """Return which solutions (S, 2 or more) have their points in front of both fixed views.
+
+    theta1, theta3 : (N,) bearings in the initial and the target view (rad).
+    common : (S, 2 or more) direction β and heading φ1 of C1 (rad), and anything.
+    """
+    beta, alpha1 = common[:, :1], theta1 - common[:, 1:2]
+    parallax = np.sin(theta3 - alpha1)
+    range1, range3 = np.sin(beta + theta3), np.sin(beta + alpha1)
     # Far points lie on either side by chance: they vote with their parallax.
     first = np.sum(np.sign(range1) * parallax, axis=1)
     third = np.sum(np.sign(range3) * parallax, axis=1)

@@ -1,9 +1,41 @@
-"""The velocity that a base really had under what it was told."""
+"""The motion that a base really made under what it was told."""
 
 from __future__ import annotations
 
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
 from hal.types import Velocity
 from robots import Limits
+from robots.documents import Document
+
+Array = NDArray[np.float64]
+NonNegative = Annotated[float, Field(ge=0.0)]
+
+
+class MotionNoise(Document):
+    """How what a base executes scatters about what it is told, anew in every tick.
+
+    v_m_s, omega_deg_s : standard deviations.
+    gain : standard deviation of the odometer's unknown factor (wheel radius, slip).
+    """
+
+    v_m_s: NonNegative = 0.002
+    omega_deg_s: NonNegative = 0.1
+    gain: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+
+    def covariance(self, velocity: Velocity) -> Array:
+        """Return the covariance M (2, 2) of what is executed about ``velocity``.
+
+        A robot that stands, stands.
+        """
+        if velocity.v == 0.0 and velocity.omega == 0.0:
+            return np.zeros((2, 2))
+        return np.diag([self.v_m_s**2, math.radians(self.omega_deg_s) ** 2])
 
 
 class RampedVelocity:

@@ -16,7 +16,7 @@ from visctrl.estimation.pose_estimate import Need, PoseEstimate
 from visctrl.estimation.pose_filter import CORE, Innovation, TransferFilter
 from visctrl.estimation.pose_forward import ForwardLeg
 from visctrl.estimation.pose_leg import Leg
-from visctrl.estimation.pose_motion import RampedVelocity
+from visctrl.estimation.pose_motion import MotionNoise, RampedVelocity
 from visctrl.estimation.pose_start import Start, solve_leg
 from visctrl.geometry.transfer import bearings
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
@@ -28,23 +28,6 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 
 #: Each attempt to solve the first leg waits until it has grown by this factor.
 _GROWTH = 1.3
-
-
-class MotionNoise(Document):
-    """How what a base executes scatters about what it is told, anew in every tick.
-
-    v_m_s, omega_deg_s : standard deviations.
-    gain : standard deviation of the odometer's unknown factor (wheel radius, slip).
-    """
-
-    v_m_s: NonNegative = 0.002
-    omega_deg_s: NonNegative = 0.1
-    gain: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (2, 2) of (v, ω)."""
-        return np.diag([self.v_m_s**2, math.radians(self.omega_deg_s) ** 2])
 
 
 class TransferOptions(Document):
@@ -120,7 +103,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         self._blind = 0.0 if fresh else self._blind + dt
         if self._filter is None:
             return self._begin(views if fresh else None, velocity, dt)
-        noise = self.options.noise.covariance
+        noise = self.options.noise.covariance(velocity)
         offset = self.context.camera_forward_m
         self._filter.advance(velocity.v, velocity.omega, dt, offset, noise)
         if fresh:
@@ -142,7 +125,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     def _begin(self, views: Views | None, velocity: Velocity, dt: float) -> PoseEstimate:
         """Collect a frame of the first leg, and end the leg when it tells enough."""
         options, leg = self.options, self._leg
-        leg.move(velocity, dt, self.context.camera_forward_m, options.noise.covariance)
+        leg.move(velocity, dt, self.context.camera_forward_m, options.noise.covariance(velocity))
         if views is None:
             return PoseEstimate.unknown(self._need, self._blindness(), "no new frame")
         # The frame that became the initial view says nothing new about it.
@@ -238,16 +221,18 @@ def _started(start: Start, seen: Leg, leg: ForwardLeg) -> TransferFilter:
     way = R @ leg.motion[:2]
     x = np.empty(CORE + 2 * n)
     x[:2] = np.array([math.sin(start.beta), -math.cos(start.beta)]) + start.q * way
-    x[2:CORE] = start.phi + leg.motion[2], start.beta, start.phi, start.q
+    x[2] = start.phi + leg.motion[2] + start.turn
+    x[3:CORE] = start.beta, start.phi, start.q
     x[CORE:] = start.errors.T.ravel()
-    J = np.zeros((len(x), 3 + 2 * n))
+    J = np.zeros((len(x), 4 + 2 * n))
     J[:2, 0] = math.cos(start.beta), math.sin(start.beta)
     J[:2, 1] = start.q * np.array([-way[1], way[0]])
     J[:2, 2] = way
-    J[2, 1] = J[3, 0] = J[4, 1] = J[5, 2] = 1.0
-    J[CORE:, 3:] = np.eye(2 * n)
+    J[2, 1] = J[2, 3] = J[3, 0] = J[4, 1] = J[5, 2] = 1.0
+    J[CORE:, 4:] = np.eye(2 * n)
     P = J @ start.covariance @ J.T
-    turned = np.eye(3)
-    turned[:2, :2] = start.q * R
-    P[:3, :3] += turned @ leg.spread @ turned.T
+    # What the base did about dead reckoning: across the way it moves the pose, along it the scale.
+    turned = start.q * R
+    P[:2, :2] += turned @ leg.spread[:2, :2] @ turned.T
+    P[5, 5] += start.q**2 * leg.spread[1, 1] / max(leg.travelled, 1e-6) ** 2
     return TransferFilter(x, P, seen.theta1.copy(), seen.theta3.copy())
