@@ -151,6 +151,8 @@ class Registries:
             {
                 "tensor": "visctrl.estimation.tensor:Tensor",
                 "planar-motion": "visctrl.estimation.planar_motion:PlanarMotionEstimator",
+                "transfer": "visctrl.estimation.pose_transfer:PoseTransfer",
+                "ekf": "visctrl.estimation.pose_ekf:PoseEkf",
             },
         )
     )
@@ -162,6 +164,7 @@ class Registries:
             {
                 "trifocal-smc": "visctrl.control.trifocal_smc:TrifocalSmc",
                 "face-target": "visctrl.control.face_target:FaceTarget",
+                "pose-tracking": "visctrl.control.pose_tracking:PoseTracking",
             },
         )
     )

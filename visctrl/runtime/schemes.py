@@ -29,7 +29,9 @@ class Scheme:
 SCHEMES = {
     "epipolar": Scheme("epipolar control from three views", "epipoles", "epipolar-smc"),
     "trifocal": Scheme("1D trifocal tensor control", "tensor", "trifocal-smc"),
-    "pose": Scheme("pose estimation and Cartesian control", "ekf", "pose-tracking"),
+    "pose": Scheme(
+        "pose estimation and Cartesian control", "transfer", "pose-tracking", approach=False
+    ),
 }
 
 #: Turning towards the target before the main stage.
