@@ -10,6 +10,9 @@ positions in units of |C1|, metric pose (x/q, y/q, φ), e1 and e3 the errors of 
 bearing in the initial and the target view. Only odometry knows metres and it enters linearly
 in q, so a wrong scale does not spoil the geometry that the images tell. Each bearing in the
 current view is one measurement, predicted by exact transfer from the other two views.
+
+The algebra is that of an extended Kalman filter; it uses that the motion touches three numbers
+and each bearing eight, which a general filter would multiply by zeros ten times as long.
 """
 
 from __future__ import annotations
@@ -17,8 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, solve_triangular
 
 from hal.types import Pose
 from robots.unicycle import exact_jacobians, step_exact, wrap_angle
@@ -53,7 +56,7 @@ class Innovation:
         return len(self.used)
 
 
-class TransferFilter(ExtendedKalmanFilter):  # type: ignore[misc]
+class TransferFilter:
     """Extended Kalman filter on the scale-free geometry of three views.
 
     Parameters
@@ -67,11 +70,8 @@ class TransferFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """
 
     def __init__(self, x: Array, P: Array, theta1: Array, theta3: Array) -> None:
-        super().__init__(dim_x=len(x), dim_z=1)
-        self.x, self.P = x, P
-        self.Q = np.zeros_like(P)
-        self.theta1, self.theta3 = theta1, theta3
-        self._motion = np.zeros(3)
+        self.x, self.P = x.copy(), P.copy()
+        self.theta1, self.theta3 = theta1.copy(), theta3.copy()
 
     @property
     def count(self) -> int:
@@ -94,43 +94,46 @@ class TransferFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         noise : (2, 2) array
             Covariance M of what was executed about (v, ω).
         """
-        pose, q = self.x[:3], self.x[5]
-        self._motion = step_exact(pose, v, omega, dt, offset) - pose
-        by_pose, by_velocity = exact_jacobians(pose, v, omega, dt, offset)
-        self.F[:2, 2] = q * by_pose[:2, 2]
-        self.F[:2, 5] = self._motion[:2]
-        by_velocity[:2] *= q
-        self.Q[:3, :3] = by_velocity @ noise @ by_velocity.T
-        self.predict()
+        F, Q, motion = self.transition(v, omega, dt, offset, noise)
+        q = self.x[5]
+        self.x[:2] += q * motion[:2]
+        self.x[2] += motion[2]
+        # F is the identity but for its first three rows, which involve the core alone.
+        self.P[:3, :] = F @ self.P[:CORE, :]
+        self.P[:, :3] = self.P[:, :CORE] @ F.T
+        self.P[:3, :3] += Q
 
-    def predict_x(self, u: float = 0.0) -> None:
-        """Advance the state itself; `predict` calls it."""
-        del u
-        self.x = self.x.copy()
-        self.x[:2] += self.x[5] * self._motion[:2]
-        self.x[2] += self._motion[2]
+    def transition(
+        self, v: float, omega: float, dt: float, offset: float, noise: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return ∂(x, y, φ)⁺/∂ core (3, 6), its noise (3, 3) and the motion (3,) in m."""
+        pose, q = self.x[:3], self.x[5]
+        motion = step_exact(pose, v, omega, dt, offset) - pose
+        by_pose, by_velocity = exact_jacobians(pose, v, omega, dt, offset)
+        F = np.zeros((3, CORE))
+        F[:, :3] = by_pose
+        F[:2, 2] *= q
+        F[:2, 5] = motion[:2]
+        by_velocity[:2] *= q
+        return F, by_velocity @ noise @ by_velocity.T, motion
 
     # --- measurement -----------------------------------------------------------------------
 
     def transfer(self, index: Index) -> Transfer:
         """Return the predicted bearings of some features and their derivatives."""
-        n = self.count
         x, beta = self.x, self.x[3]
         initial = np.array([np.sin(beta), -np.cos(beta), x[4]])
         theta1 = self.theta1[index] - x[CORE + index]
-        theta3 = self.theta3[index] - x[CORE + n + index]
+        theta3 = self.theta3[index] - x[CORE + self.count + index]
         return transfer_bearing(initial, x[:3], theta1, theta3)
 
-    def jacobian(self, transfer: Transfer, index: Index) -> Array:
-        """Return ∂ bearing/∂ state (M, 6 + 2N)."""
-        rows = np.arange(len(index))
-        H = np.zeros((len(index), len(self.x)))
+    def core_jacobian(self, transfer: Transfer) -> Array:
+        """Return ∂ bearing/∂ core (M, 6); those by the errors are −``transfer.by_bearings``."""
+        H = np.zeros((len(transfer.bearing), CORE))
         H[:, :3] = transfer.by_current
         s, c = np.sin(self.x[3]), np.cos(self.x[3])
         H[:, 3] = transfer.by_initial[:, 0] * c + transfer.by_initial[:, 1] * s
         H[:, 4] = transfer.by_initial[:, 2]
-        H[rows, CORE + index] = -transfer.by_bearings[:, 0]
-        H[rows, CORE + self.count + index] = -transfer.by_bearings[:, 1]
         return H
 
     def correct(self, index: Index, theta2: Array, sigma2: Array) -> Innovation:
@@ -149,23 +152,38 @@ class TransferFilter(ExtendedKalmanFilter):  # type: ignore[misc]
             Bearings that are badly conditioned or contradict the state are left out.
         """
         transfer = self.transfer(index)
-        H = self.jacobian(transfer, index)
+        first, third = CORE + index, CORE + self.count + index
+        core = self.core_jacobian(transfer)
+        slopes = -transfer.by_bearings.T[..., None]
         innovation = wrap_half_turn(theta2 - transfer.bearing)
-        predicted = np.einsum("ij,ij->i", H @ self.P, H)
+        # H P (M, 6 + 2N), with eight entries in a row of H.
+        HP = core @ self.P[:CORE] + slopes[0] * self.P[first] + slopes[1] * self.P[third]
+        predicted = np.einsum("ij,ij->i", HP[:, :CORE], core)
+        rows = np.arange(len(index))
+        predicted += HP[rows, first] * slopes[0, :, 0] + HP[rows, third] * slopes[1, :, 0]
         good = (np.abs(transfer.parallax) > MINIMUM_PARALLAX) & (predicted < _MAX_PREDICTED_SD**2)
         good &= innovation**2 < _GATE**2 * (predicted + sigma2**2)
         used = np.flatnonzero(good)
         if not len(used):
             return Innovation(0.0, used)
-        H, innovation = H[used], innovation[used]
-        self.update(
-            innovation,
-            HJacobian=lambda x: H,
-            Hx=lambda x: 0.0,
-            R=np.diag(sigma2[used] ** 2),
-        )
-        # filterpy keeps the inverse of S = H P Hᵀ + R of this update in SI.
-        return Innovation(float(innovation @ self.SI @ innovation), used)
+        HP, core, slopes = HP[used], core[used], slopes[:, used, 0]
+        S = HP[:, :CORE] @ core.T
+        S += HP[:, first[used]] * slopes[0] + HP[:, third[used]] * slopes[1]
+        S[np.arange(len(used)), np.arange(len(used))] += sigma2[used] ** 2
+        return Innovation(self._update(HP, S, innovation[used]), used)
+
+    def _update(self, HP: Array, S: Array, innovation: Array) -> float:
+        """Update by an innovation and its covariance; return its normalised square.
+
+        With S = L Lᵀ and W = L⁻¹ H P the gain is Wᵀ L⁻¹ and the covariance falls by Wᵀ W.
+        """
+        L = cho_factor(S, lower=True, check_finite=False)[0]
+        both = np.column_stack([HP, innovation])
+        whitened = solve_triangular(L, both, lower=True, check_finite=False)
+        W, y = whitened[:, :-1], whitened[:, -1]
+        self.x += y @ W
+        self.P -= W.T @ W
+        return float(y @ y)
 
     def exchange(
         self, slot: int, theta1: float, theta3: float, sigma1: float, sigma3: float

@@ -235,4 +235,4 @@ def _started(start: Start, seen: Leg, leg: ForwardLeg) -> TransferFilter:
     turned = start.q * R
     P[:2, :2] += turned @ leg.spread[:2, :2] @ turned.T
     P[5, 5] += start.q**2 * leg.spread[1, 1] / max(leg.travelled, 1e-6) ** 2
-    return TransferFilter(x, P, seen.theta1.copy(), seen.theta3.copy())
+    return TransferFilter(x, P, seen.theta1, seen.theta3)
