@@ -19,7 +19,12 @@ from visctrl.estimation.pose_estimate import Need, PoseEstimate
 from visctrl.estimation.pose_forward import ForwardLeg
 from visctrl.estimation.pose_initial import initial_by_essential, initial_by_tensor
 from visctrl.estimation.pose_kalman import ExtendedPoseFilter, PoseFilter, UnscentedPoseFilter
-from visctrl.estimation.pose_measurements import EpipoleModel, MeasurementModel, TensorModel
+from visctrl.estimation.pose_measurements import (
+    EpipoleModel,
+    MeasurementModel,
+    TensorMethod,
+    TensorModel,
+)
 from visctrl.estimation.pose_motion import MotionNoise, RampedVelocity
 from visctrl.estimation.pose_start import solve_leg
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
@@ -60,7 +65,8 @@ class EkfOptions(Document):
 
     measurement : elements of the tensor, or epipoles.
     elements : those that are measured, over T121.
-    tensor : how the tensor is found: ``linear`` as published, ``refined`` by bearing residuals.
+    tensor : how the tensor is found: ``linear`` as published, ``refined`` by bearing residuals,
+        ``known`` by bearing residuals among the tensors that have this C1.
     epipoles : the one in the fixed view alone, or ``both``.
     switch_m : distance to the target from which on the epipoles are those with the initial view.
     filter : extended or unscented.
@@ -77,7 +83,7 @@ class EkfOptions(Document):
 
     measurement: Literal["tensor", "epipoles"] = "tensor"
     elements: tuple[str, ...] = ("T111",)
-    tensor: Literal["linear", "refined"] = "linear"
+    tensor: TensorMethod = "linear"
     epipoles: Literal["target", "both"] = "both"
     switch_m: NonNegative = 2.0
     filter: Literal["extended", "unscented"] = "extended"
@@ -99,6 +105,9 @@ class EkfOptions(Document):
             raise ValueError(
                 f"name each element once, of {', '.join(known)} (all are divided by T121)"
             )
+        for related in (("T112", "T211", "T222"), ("T111", "T122", "T212", "T221")):
+            if set(related) <= set(elements):
+                raise ValueError(f"{', '.join(related)} follow from each other: leave one out")
         return elements
 
 
@@ -205,8 +214,7 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
     def _measurements(self, initial: Array) -> MeasurementModel:
         options, seed = self.options, self.context.seed
         if options.measurement == "tensor":
-            refined = options.tensor == "refined"
-            return TensorModel(initial, options.elements, refined=refined, seed=seed)
+            return TensorModel(initial, options.elements, method=options.tensor, seed=seed)
         both = options.epipoles == "both"
         return EpipoleModel(initial, both=both, switch=options.switch_m, seed=seed)
 

@@ -12,7 +12,7 @@ from visctrl.estimation.pose_leg import Leg, in_front, scale_of
 from visctrl.estimation.pose_measurements import measured_tensor
 from visctrl.geometry.planar import ransac_planar_motion
 from visctrl.geometry.transfer import bearings
-from visctrl.geometry.trifocal import T111, T121, T211, T221
+from visctrl.geometry.trifocal import CALIBRATED, T111, T121, T211, T221
 from visctrl.plugins import Health, Views
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def initial_by_tensor(views: Views, distance: float, seed: int) -> Array | str:
         sigma=views.sigma,
         stamp=views.stamp,
     )
-    found = measured_tensor(reordered, refined=False, seed=seed)
+    found = measured_tensor(reordered, CALIBRATED, refined=False, seed=seed)
     if isinstance(found, str):
         return found
     initial = initial_from_tensor(found[0], distance)

@@ -7,7 +7,7 @@ their exact derivatives from a pose of the camera in the target's frame.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,7 @@ from visctrl.geometry.trifocal_solvers import (
 from visctrl.plugins import Health, Views
 
 Array = NDArray[np.float64]
+TensorMethod = Literal["linear", "refined", "known"]
 
 #: Residuals beyond this many standard deviations are errors, not noise.
 _OUTLIER = 4.0
@@ -103,22 +104,28 @@ class TensorModel(MeasurementModel):
     initial : (3,) array
         C1, taken for exact.
     elements : names of the elements, without T121.
-    refined : minimise bearing residuals instead of the linear solution's algebraic error.
+    method : ``linear``, the least algebraic error over calibrated tensors, as published;
+        ``refined``, the least bearing residuals over them; ``known``, the same over the tensors
+        that have this C1.
     seed : of the search for outliers.
     """
 
     def __init__(
-        self, initial: Array, elements: tuple[str, ...], *, refined: bool, seed: int
+        self, initial: Array, elements: tuple[str, ...], *, method: TensorMethod, seed: int
     ) -> None:
         self._initial = initial
         self._which = [ELEMENTS.index(name) for name in elements]
-        self._refined = refined
+        self._basis = CALIBRATED
+        if method == "known":
+            view = view_parameters(initial[2], target_in_view(initial))
+            self._basis = current_view_basis(view)
+        self._refined = method != "linear"
         self._seed = seed
 
     def measure(self, views: Views, pose: Array) -> Measured | str:
-        """Return the elements by the linear solution within the calibrated tensors."""
+        """Return the elements and their covariance (see the contract)."""
         del pose
-        found = measured_tensor(views, refined=self._refined, seed=self._seed)
+        found = measured_tensor(views, self._basis, refined=self._refined, seed=self._seed)
         if isinstance(found, str):
             return found
         T, covariance = found
@@ -131,15 +138,34 @@ class TensorModel(MeasurementModel):
         return ratio[..., self._which], slope[..., self._which, :]
 
 
-def measured_tensor(views: Views, *, refined: bool, seed: int) -> tuple[Array, Array] | str:
-    """Return the tensor (8,) of initial, current and target view and its covariance (8, 8)."""
-    if len(views) < CALIBRATED.shape[1] + 1:
+def measured_tensor(
+    views: Views, basis: Array, *, refined: bool, seed: int
+) -> tuple[Array, Array] | str:
+    """Return the tensor (8,) of initial, current and target view and its covariance (8, 8).
+
+    Parameters
+    ----------
+    views : Views
+    basis : (8, k) array
+        Of the family of tensors to search.
+    refined : bool
+        Whether to minimise bearing residuals instead of the algebraic error.
+    seed : int
+        Of the search for outliers.
+
+    Returns
+    -------
+    tuple or str
+        Or why there is none.
+    """
+    unknowns = basis.shape[1]
+    if len(views) < unknowns + 1:
         return f"too few features: {len(views)}"
     if identical_views(views.initial, views.current, views.sigma):
         return "views identical: initial and current"
-    relation = trilinear(views.initial, views.current, views.target).within(CALIBRATED)
+    relation = trilinear(views.initial, views.current, views.target).within(basis)
     relation = _agreeing(relation, views.sigma, seed)
-    if len(relation) < CALIBRATED.shape[1]:
+    if len(relation) < unknowns:
         return f"features disagree: {len(relation)} of {len(views)} fit one tensor"
     z = solve_linear(relation)
     if refined:
@@ -147,7 +173,7 @@ def measured_tensor(views: Views, *, refined: bool, seed: int) -> tuple[Array, A
         z, covariance = fit.z, fit.covariance
     else:
         covariance = linear_covariance(relation, z, views.sigma)
-    return CALIBRATED @ z, CALIBRATED @ covariance @ CALIBRATED.T
+    return basis @ z, basis @ covariance @ basis.T
 
 
 def _agreeing(relation: Trilinear, sigma: float, seed: int) -> Trilinear:
