@@ -16,7 +16,7 @@ from hal.types import Pose, Velocity
 from robots.documents import Document
 from robots.unicycle import compose
 from visctrl.estimation.pose_estimate import Need, PoseEstimate
-from visctrl.estimation.pose_forward import ForwardLeg
+from visctrl.estimation.pose_forward import ForwardLeg, InitialAverage
 from visctrl.estimation.pose_initial import initial_by_essential, initial_by_tensor
 from visctrl.estimation.pose_kalman import ExtendedPoseFilter, PoseFilter, UnscentedPoseFilter
 from visctrl.estimation.pose_measurements import (
@@ -74,6 +74,7 @@ class EkfOptions(Document):
         of the leg (``batch``).
     start : C1, where it is known; nothing is initialised then.
     first_guess : first estimate of the pose, where it is not C1.
+    initial_frames : frames averaged at the start, the robot standing; 1 is the source's.
     leg_m : length of the first leg (d_ini).
     p0 : spread of the first estimate.
     gate : probability that a good measurement passes.
@@ -90,6 +91,7 @@ class EkfOptions(Document):
     initialise: Literal["tensor", "essential", "batch"] = "tensor"
     start: KnownPose | None = None
     first_guess: KnownPose | None = None
+    initial_frames: Annotated[int, Field(ge=1, le=100)] = 1
     leg_m: Positive = 0.4
     p0: InitialSpread = InitialSpread()
     gate: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.9999
@@ -136,6 +138,7 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
         """Forget everything: a new initial view has been taken here."""
         self._ramp = RampedVelocity(self.context.limits)
         self._leg = ForwardLeg()
+        self._average = InitialAverage()
         self._initial: Array | None = None
         self._filter: PoseFilter | None = None
         self._model: MeasurementModel | None = None
@@ -158,7 +161,7 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
         noise, offset = self.options.noise.covariance(velocity), self.context.camera_forward_m
         self._filter.predict(velocity.v, velocity.omega, dt, offset, noise)
         if seen is not None:
-            self._correct(self._filter, self._model, seen)
+            self._correct(self._filter, self._model, self._average.applied(seen))
         return self._estimate(self._filter)
 
     def values(self) -> Mapping[str, float]:
@@ -180,7 +183,14 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
             health = Health.LOST if self._blind > options.blind_max_s else Health.DEGENERATE
             return PoseEstimate.unknown(Need.FORWARD, health, "no new frame")
         self._blind = 0.0
-        if leg.travelled > 0.0 or not np.array_equal(views.current, views.initial):
+        # The frame that became the initial view says nothing new about it.
+        repeated = np.array_equal(views.current, views.initial)
+        if self._average.frames + 1 < options.initial_frames and leg.travelled == 0.0:
+            if not repeated:
+                self._average.add(views)
+            return PoseEstimate.unknown(Need.STILL, Health.DEGENERATE, "averaging the first view")
+        views = self._average.applied(views)
+        if not repeated:
             leg.look(views)
         if leg.travelled < options.leg_m:
             return PoseEstimate.unknown(Need.FORWARD, Health.DEGENERATE, "finding the start")

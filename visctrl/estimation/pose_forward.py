@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,35 @@ class _Fixed:
     theta3: float
     sigma1: float
     sigma3: float
+
+
+class InitialAverage:
+    """Sharper initial view from further frames of the robot standing there."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self._sum: dict[int, tuple[Array, int]] = {}
+
+    def add(self, views: Views) -> None:
+        """Take a frame from the initial pose into account."""
+        self.frames += 1
+        for name, first, now in zip(views.ids.tolist(), views.initial, views.current, strict=True):
+            total, count = self._sum.get(name, (first, 1))
+            self._sum[name] = total + now, count + 1
+
+    def applied(self, views: Views) -> Views:
+        """Return views whose initial rays are the averages."""
+        if not self._sum:
+            return views
+        known = [
+            self._sum.get(name, (first, 1))
+            for name, first in zip(views.ids.tolist(), views.initial, strict=True)
+        ]
+        initial = np.array([total for total, _ in known]).reshape(-1, 3)
+        initial /= np.maximum(np.linalg.norm(initial, axis=1, keepdims=True), 1e-12)
+        sigmas = views.bearing_sigmas().copy()
+        sigmas[1] /= np.sqrt([count for _, count in known])
+        return replace(views, initial=initial, sigmas=sigmas)
 
 
 class ForwardLeg:

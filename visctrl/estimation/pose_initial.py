@@ -31,7 +31,7 @@ def initial_from_tensor(tensor: Array, distance: float) -> Array:
     Returns
     -------
     (3,) array
-        The tensor's sign is unknown, and the heading therefore up to half a turn.
+        The tensor's sign is unknown, and C1 therefore up to half a turn about the target.
     """
     scale = distance / math.hypot(tensor[T111], tensor[T211])
     phi = math.atan2(scale * tensor[T111], scale * tensor[T211])
@@ -58,7 +58,7 @@ def initial_by_tensor(views: Views, distance: float, seed: int) -> Array | str:
     initial = initial_from_tensor(found[0], distance)
     angles = np.array([math.atan2(initial[0], -initial[1]), initial[2]])
     if not in_front(bearings(views.initial), bearings(views.target), angles[None])[0]:
-        initial[2] = wrap_angle(initial[2] + math.pi)
+        initial = np.array([-initial[0], -initial[1], wrap_angle(initial[2] + math.pi)])
     return initial
 
 
