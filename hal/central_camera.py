@@ -163,6 +163,34 @@ class CentralCamera(Document):
         """Return pixels (..., 2) of robot rays (..., 3), and their validity (see `project`)."""
         return self.project(np.asarray(rays, dtype=np.float64) @ self.rotation)
 
+    def bearing_per_pixel(self, rays: ArrayLike) -> Array:
+        """Return how far (rad) one pixel's noise turns the bearings of robot rays (..., 3).
+
+        The standard deviation (...) of the bearing atan2(right, forward) for unit standard
+        deviation of either image coordinate. Infinite straight up and down.
+        """
+        rays = np.asarray(rays, dtype=np.float64)
+        level = np.hypot(rays[..., 0], rays[..., 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self._upright:
+                # About an upright axis the bearing is the angle about the image's centre.
+                radius = self.fx * level / (rays[..., 2] * self.rotation[2, 2] + self.xi)
+                return np.asarray(1.0 / np.abs(radius), dtype=np.float64)
+            s, c = rays[..., 0] / level, rays[..., 1] / level
+            sideways = np.stack([c, -s, np.zeros_like(s)], axis=-1) * level[..., None]
+            upwards = np.stack([-s * rays[..., 2], -c * rays[..., 2], level], axis=-1)
+            J = self.jacobian(rays @ self.rotation) @ self.rotation.T
+            a = (J @ sideways[..., None])[..., 0]
+            b = (J @ upwards[..., None])[..., 0]
+            det = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+            return np.asarray(np.hypot(b[..., 0], b[..., 1]) / np.abs(det), dtype=np.float64)
+
+    @cached_property
+    def _upright(self) -> bool:
+        """Whether the optical axis is exactly vertical and the pixels are square."""
+        square = abs(self.fx) == abs(self.fy) and self.skew == 0.0
+        return self.panoramic and square and self.pitch_deg == 0.0 and self.roll_deg == 0.0
+
     @property
     def panoramic(self) -> bool:
         """Whether the optical axis is vertical: every bearing is seen."""

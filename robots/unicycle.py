@@ -92,6 +92,35 @@ def euler_jacobians(
     return F, G
 
 
+def exact_jacobians(
+    pose: ArrayLike, v: ArrayLike, omega: ArrayLike, dt: float, offset: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the Jacobians of `step_exact`: F (..., 3, 3) by the pose, G (..., 3, 2) by (v, ω)."""
+    pose = np.asarray(pose, dtype=np.float64)
+    v = np.asarray(v, dtype=np.float64)
+    half = np.asarray(omega, dtype=np.float64) * (dt / 2.0)
+    after = step_exact(pose, v, omega, dt, offset)
+    middle = pose[..., 2] + half
+    s, c = np.sin(middle), np.cos(middle)
+    ratio = np.sinc(half / np.pi)
+    chord = v * dt * ratio
+    # Of v dt sin(a)/a by a; the closed form cancels near a = 0, where the series is exact.
+    small = np.abs(half) < 1e-3
+    safe = np.where(small, 1.0, half)
+    slope = v * dt * np.where(small, -half / 3.0, (np.cos(safe) - ratio) / safe)
+    F = np.zeros((*after.shape[:-1], 3, 3))
+    F[..., 0, 0] = F[..., 1, 1] = F[..., 2, 2] = 1.0
+    F[..., 0, 2] = pose[..., 1] - after[..., 1]
+    F[..., 1, 2] = after[..., 0] - pose[..., 0]
+    G = np.zeros((*after.shape[:-1], 3, 2))
+    G[..., 0, 0] = -dt * ratio * s
+    G[..., 1, 0] = dt * ratio * c
+    G[..., 0, 1] = dt * (-(slope * s + chord * c) / 2.0 - offset * np.cos(after[..., 2]))
+    G[..., 1, 1] = dt * ((slope * c - chord * s) / 2.0 - offset * np.sin(after[..., 2]))
+    G[..., 2, 1] = dt
+    return F, G
+
+
 def relative_pose(pose: ArrayLike, reference: ArrayLike) -> Array:
     """Return ``pose`` (..., 3) expressed in the frame of ``reference`` (..., 3), φ wrapped."""
     pose = np.asarray(pose, dtype=np.float64)
@@ -101,6 +130,20 @@ def relative_pose(pose: ArrayLike, reference: ArrayLike) -> Array:
     dy = pose[..., 1] - reference[..., 1]
     phi = wrap_angle(pose[..., 2] - reference[..., 2])
     return np.stack(np.broadcast_arrays(c * dx + s * dy, -s * dx + c * dy, phi), axis=-1)
+
+
+def compose(reference: ArrayLike, relative: ArrayLike) -> Array:
+    """Return the pose (..., 3) that is ``relative`` (..., 3) in the frame of ``reference``.
+
+    It undoes `relative_pose`, up to the wrapping of φ, which is not done here.
+    """
+    reference = np.asarray(reference, dtype=np.float64)
+    relative = np.asarray(relative, dtype=np.float64)
+    s, c = np.sin(reference[..., 2]), np.cos(reference[..., 2])
+    dx, dy = relative[..., 0], relative[..., 1]
+    x = reference[..., 0] + c * dx - s * dy
+    y = reference[..., 1] + s * dx + c * dy
+    return np.stack(np.broadcast_arrays(x, y, reference[..., 2] + relative[..., 2]), axis=-1)
 
 
 def to_rep103(pose: ArrayLike) -> Array:

@@ -65,6 +65,9 @@ class Views:
     ids : (N,) names of the features, stable over time.
     sigma : standard deviation of one bearing (rad), the same for all.
     stamp : exposure time of the current frame (s).
+    sigmas : (3, N) standard deviations of each bearing in the target, initial and current view
+        (rad), where they are known one by one: rays near the rim of an image are sharper, and a
+        target averaged over several frames is better than one frame. None: ``sigma`` for all.
     """
 
     ids: NDArray[np.int64]
@@ -76,9 +79,16 @@ class Views:
     stamp: float
     health: Health = Health.OK
     reason: str = ""
+    sigmas: Array | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def bearing_sigmas(self) -> Array:
+        """Return the standard deviations (3, N) of the bearings: target, initial, current."""
+        if self.sigmas is not None:
+            return self.sigmas
+        return np.full((3, len(self)), self.sigma)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from hal.central_camera import CentralCamera
@@ -16,8 +16,6 @@ from robots.errors import InputError
 from visctrl.plugins import Array, Context, Health, Match, Perception, Views
 
 Ids = NDArray[np.int64]
-#: Step of the finite differences that turn pixels into angles (px).
-_STEP_PX = 0.5
 
 
 class FeaturesOptions(Document):
@@ -44,7 +42,7 @@ class IdentifiedFeatures(Perception[FeaturesOptions]):
         self._camera = context.camera
         self._target = _Seen.nothing()
         self._common = _Seen.nothing()
-        self._common_target: Array = np.empty((0, 3))
+        self._common_target = _Seen.nothing()
         self._sigma = 0.0
 
     def set_target(self, frames: Sequence[Frame]) -> None:
@@ -57,48 +55,53 @@ class IdentifiedFeatures(Perception[FeaturesOptions]):
         np.add.at(mean, index, pixels)
         mean /= count[:, None]
         often = 2 * count > len(features)
-        self._target = _Seen.of(Features(names[often], mean[often]), self._camera)
+        noise = self.options.noise_px / np.sqrt(count[often])
+        self._target = _Seen.of(Features(names[often], mean[often]), self._camera, noise)
         self._require(len(self._target.ids), "the target view shows")
-        self._sigma = self.options.noise_px * _bearing_per_pixel(self._camera, self._target.pixels)
+        per_pixel = self._camera.bearing_per_pixel(self._target.rays)
+        self._sigma = self.options.noise_px * float(np.median(per_pixel))
 
     def set_initial(self, frame: Frame) -> Match:
         """Take the features that this view and the target's have in common."""
-        initial = _Seen.of(_features_of(frame), self._camera)
+        initial = self._seen(frame)
         _, in_target, here = np.intersect1d(
             self._target.ids, initial.ids, assume_unique=True, return_indices=True
         )
         self._require(len(here), "the target is not recognised from here: it shares")
         self._common = initial.at(here)
-        self._common_target = self._target.rays[in_target]
+        self._common_target = self._target.at(in_target)
         return Match(
             candidates=len(here),
             inliers=len(here),
-            target_pixels=self._target.pixels[in_target],
+            target_pixels=self._common_target.pixels,
             initial_pixels=self._common.pixels,
         )
 
     def update(self, frame: Frame) -> Views:
         """Return the features that all three views show."""
-        current = _Seen.of(_features_of(frame), self._camera)
-        target, initial = self._common_target, self._common.rays
+        current, target, initial = self._seen(frame), self._common_target, self._common
         if not np.array_equal(current.ids, self._common.ids):
             _, common, here = np.intersect1d(
                 self._common.ids, current.ids, assume_unique=True, return_indices=True
             )
-            current, target, initial = current.at(here), target[common], initial[common]
+            current, target, initial = current.at(here), target.at(common), initial.at(common)
         count = len(current.ids)
         lost = count < self.options.min_features
         return Views(
             ids=current.ids,
-            target=target,
-            initial=initial,
+            target=target.rays,
+            initial=initial.rays,
             current=current.rays,
             pixels=current.pixels,
             sigma=self._sigma,
             stamp=frame.stamp,
             health=Health.LOST if lost else Health.OK,
             reason=f"{count} features of {self.options.min_features} needed" if lost else "",
+            sigmas=np.stack([target.sigma, initial.sigma, current.sigma]),
         )
+
+    def _seen(self, frame: Frame) -> _Seen:
+        return _Seen.of(_features_of(frame), self._camera, self.options.noise_px)
 
     def _require(self, count: int, what: str) -> None:
         if count < self.options.min_features:
@@ -106,26 +109,35 @@ class IdentifiedFeatures(Perception[FeaturesOptions]):
 
 
 class _Seen:
-    """Features of one view with their rays, those without a ray left out."""
+    """Features of one view with their rays, those without a ray left out.
 
-    def __init__(self, ids: Ids, pixels: Array, rays: Array) -> None:
+    sigma : (N,) standard deviations of the bearings (rad).
+    """
+
+    def __init__(self, ids: Ids, pixels: Array, rays: Array, sigma: Array) -> None:
         self.ids = ids
         self.pixels = pixels
         self.rays = rays
+        self.sigma = sigma
 
     @classmethod
     def nothing(cls) -> _Seen:
-        return cls(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
+        none = np.empty(0)
+        return cls(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)), none)
 
     @classmethod
-    def of(cls, features: Features, camera: CentralCamera) -> _Seen:
+    def of(cls, features: Features, camera: CentralCamera, noise_px: ArrayLike) -> _Seen:
         rays, valid = camera.robot_rays(features.pixels)
-        if valid.all():
-            return cls(features.ids, features.pixels, rays)
-        return cls(features.ids[valid], features.pixels[valid], rays[valid])
+        seen = cls(
+            features.ids,
+            features.pixels,
+            rays,
+            np.multiply(noise_px, camera.bearing_per_pixel(rays)),
+        )
+        return seen if valid.all() else seen.at(np.flatnonzero(valid))
 
     def at(self, index: NDArray[np.intp]) -> _Seen:
-        return _Seen(self.ids[index], self.pixels[index], self.rays[index])
+        return _Seen(self.ids[index], self.pixels[index], self.rays[index], self.sigma[index])
 
 
 def _features_of(frame: Frame) -> Features:
@@ -135,16 +147,3 @@ def _features_of(frame: Frame) -> Features:
             "images need perception 'klt'"
         )
     return frame.features
-
-
-def _bearing_per_pixel(camera: CentralCamera, pixels: Array) -> float:
-    """Return by how much (rad) noise of one pixel spreads a bearing: the median over (N, 2)."""
-    squared = np.zeros(len(pixels))
-    for axis in range(2):
-        step = np.zeros(2)
-        step[axis] = _STEP_PX
-        ahead, behind = (camera.robot_rays(pixels + sign * step)[0] for sign in (1.0, -1.0))
-        cross = ahead[:, 0] * behind[:, 1] - ahead[:, 1] * behind[:, 0]
-        dot = ahead[:, 0] * behind[:, 0] + ahead[:, 1] * behind[:, 1]
-        squared += (np.arctan2(cross, dot) / (2.0 * _STEP_PX)) ** 2
-    return float(np.sqrt(np.nanmedian(squared)))

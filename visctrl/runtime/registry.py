@@ -152,6 +152,8 @@ class Registries:
                 "tensor": "visctrl.estimation.tensor:Tensor",
                 "planar-motion": "visctrl.estimation.planar_motion:PlanarMotionEstimator",
                 "epipoles": "visctrl.estimation.epipoles:Epipoles",
+                "transfer": "visctrl.estimation.pose_transfer:PoseTransfer",
+                "ekf": "visctrl.estimation.pose_ekf:PoseEkf",
             },
         )
     )
@@ -165,6 +167,7 @@ class Registries:
                 "face-target": "visctrl.control.face_target:FaceTarget",
                 "epipolar-smc": "visctrl.control.epipolar_smc:EpipolarSmc",
                 "epipolar-smooth": "visctrl.control.epipolar_smooth:EpipolarSmooth",
+                "pose-tracking": "visctrl.control.pose_tracking:PoseTracking",
             },
         )
     )

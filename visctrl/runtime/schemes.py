@@ -31,7 +31,9 @@ SCHEMES = {
         "epipolar control from three views", "epipoles", "epipolar-smooth", approach=False
     ),
     "trifocal": Scheme("1D trifocal tensor control", "tensor", "trifocal-smc"),
-    "pose": Scheme("pose estimation and Cartesian control", "ekf", "pose-tracking"),
+    "pose": Scheme(
+        "pose estimation and Cartesian control", "transfer", "pose-tracking", approach=False
+    ),
 }
 
 #: Turning towards the target before the main stage.

@@ -1,0 +1,159 @@
+"""Reference paths in the target's frame: parabolas that end along the y axis, and their timing.
+
+A stage leads the control point from (xi, yi) to (xf, yf) by (4.25),
+
+    yd = (yi − yf)/2 (1 + cos(π t/τ)) + yf,        xd = (xi − xf) ((yd − ya)/(yi − ya))² + xf,
+
+which starts and ends at rest with the heading 0 at the end. In the source ya = yf. Here the
+apex ya may lie before the goal, and the rest of the way is straight: a robot whose control
+point is at the distance ℓ ahead of the axle forgets its heading error along the way as
+exp(−s/ℓ), and what a curve leaves of it needs some straight way to die out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots import Limits
+from robots.unicycle import wrap_angle
+
+Array = NDArray[np.float64]
+
+#: Samples of a path, and of its timing.
+_SAMPLES = 400
+
+
+class Reference(NamedTuple):
+    """Where the control point should be, and how it should move there.
+
+    position : (2,) x, y (m).
+    velocity : (2,) their derivatives (m/s).
+    """
+
+    position: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class ParabolicPath:
+    """A parabola and a straight end from one point to another.
+
+    start, goal : (x, y) in metres.
+    straight : length of the end (m), at most the whole way in y.
+    """
+
+    start: tuple[float, float]
+    goal: tuple[float, float]
+    straight: float = 0.0
+
+    def at(self, t: float, tau: float) -> Reference:
+        """Return the reference at ``t`` of ``tau`` seconds; at rest before 0 and after ``tau``."""
+        t = min(max(t, 0.0), tau)
+        height = self.start[1] - self.goal[1]
+        y = self.goal[1] + height / 2.0 * (1.0 + math.cos(math.pi * t / tau))
+        y_rate = -height * math.pi / (2.0 * tau) * math.sin(math.pi * t / tau)
+        x, slope = self._lateral(y)
+        return Reference(np.array([x, y]), np.array([slope * y_rate, y_rate]))
+
+    def points(self, count: int = _SAMPLES) -> Array:
+        """Return points (count, 2) of the path, dense towards its ends as its timing is."""
+        way = (1.0 + np.cos(np.linspace(0.0, np.pi, count))) / 2.0
+        ys = self.goal[1] + (self.start[1] - self.goal[1]) * way
+        return np.array([(self._lateral(y)[0], y) for y in ys.tolist()])
+
+    @property
+    def length(self) -> float:
+        """Length of the path (m)."""
+        return float(np.linalg.norm(np.diff(self.points(), axis=0), axis=1).sum())
+
+    @property
+    def heading(self) -> float:
+        """Heading along the path at its start (rad)."""
+        forth = math.copysign(1.0, self.goal[1] - self.start[1])
+        return math.atan2(-self._lateral(self.start[1])[1] * forth, forth)
+
+    def _lateral(self, y: float) -> tuple[float, float]:
+        """Return x and dx/dy at a height."""
+        up = math.copysign(1.0, self.goal[1] - self.start[1])
+        apex = self.goal[1] - up * self.straight
+        span = self.start[1] - apex
+        if (y - apex) * up >= 0.0 or span == 0.0:
+            return self.goal[0], 0.0
+        lateral = self.start[0] - self.goal[0]
+        ratio = (y - apex) / span
+        return self.goal[0] + lateral * ratio**2, 2.0 * lateral * ratio / span
+
+
+class Demand(NamedTuple):
+    """Largest values that following a path asks for when it takes one second.
+
+    v, omega : speeds (m, rad); they fall as 1/τ.
+    v_change, omega_change : accelerations (m, rad); they fall as 1/τ².
+    """
+
+    v: float
+    omega: float
+    v_change: float
+    omega_change: float
+
+    def time(self, limits: Limits | None, reserve: float) -> float:
+        """Return the shortest time (s) for which ``reserve`` of each limit is enough."""
+        if limits is None:
+            return 0.0
+        return max(
+            self.v / (reserve * limits.v_m_s),
+            self.omega / (reserve * limits.omega_rad_s),
+            math.sqrt(self.v_change / (reserve * limits.acceleration_m_s2)),
+            math.sqrt(self.omega_change / (reserve * limits.angular_acceleration_rad_s2)),
+        )
+
+
+def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
+    """Return what a robot needs to follow a path from its present heading.
+
+    With the control point on the path, v = |xd'| cos ε and ω = |xd'| sin ε / ℓ, ε being the
+    path's direction less the heading; along a piece of the way without a turn tan(ε/2) falls as
+    exp(−s/ℓ), which is exact and needs no small steps.
+
+    Parameters
+    ----------
+    path : ParabolicPath
+    heading : float
+        Of the robot at the path's start (rad).
+    lever : float
+        Control point ahead of the axle, ℓ (m).
+    """
+    step = np.diff(path.points(), axis=0)
+    length = np.maximum(np.linalg.norm(step, axis=1), 1e-12)
+    direction = np.arctan2(-step[:, 0], step[:, 1])
+    speed = length * len(length)
+    error = np.empty(len(length))
+    phi = heading
+    for k, (ahead, way) in enumerate(zip(direction.tolist(), length.tolist(), strict=True)):
+        before = float(wrap_angle(ahead - phi))
+        after = 2.0 * math.atan(math.tan(before / 2.0) * math.exp(-way / lever))
+        error[k] = 0.5 * (before + after)
+        phi = ahead - after
+    v, omega = speed * np.cos(error), speed * np.sin(error) / lever
+    return Demand(
+        float(np.abs(v).max()),
+        float(np.abs(omega).max()),
+        float(np.abs(np.diff(v, prepend=0.0, append=0.0)).max()) * len(length),
+        float(np.abs(np.diff(omega, prepend=0.0, append=0.0)).max()) * len(length),
+    )
+
+
+def reachable(start: tuple[float, float], goal: tuple[float, float]) -> bool:
+    """Return whether a parabola leads from a point to a goal without a violent start."""
+    ahead = goal[1] - start[1]
+    return ahead > 0.0 and ahead >= 0.5 * abs(start[0] - goal[0])
+
+
+def detour(start: tuple[float, float], goal: tuple[float, float]) -> tuple[float, float]:
+    """Return an intermediate goal, straight behind the start, from which the goal is reachable."""
+    return start[0], goal[1] - max(1.0, abs(start[0] - goal[0]))

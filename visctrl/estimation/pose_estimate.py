@@ -1,0 +1,55 @@
+"""What the pose estimators deliver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.types import Pose
+from visctrl.plugins import Estimate, Health
+
+Array = NDArray[np.float64]
+
+
+class Need(StrEnum):
+    """What an estimator wants the robot to do before its pose can be used."""
+
+    #: Stand, while the initial view is averaged.
+    STILL = "still"
+    #: Drive straight ahead: the known motion gives the scale.
+    FORWARD = "forward"
+    #: The pose may be used.
+    NOTHING = "nothing"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseEstimate(Estimate):
+    """Pose of the camera in the target's frame.
+
+    pose : current pose (m, m, rad).
+    covariance : (3, 3), of the pose; infinite while it is unknown.
+    initial : pose from which the initial view was taken. It may still be refined during a run,
+        and a path planned from it moves with it.
+    need : what is missing before the pose means anything.
+    """
+
+    pose: Pose
+    covariance: Array
+    initial: Pose
+    need: Need = Need.NOTHING
+
+    @classmethod
+    def unknown(cls, need: Need, health: Health, reason: str) -> PoseEstimate:
+        """Return the estimate of an estimator that does not know where it is yet."""
+        nowhere = Pose(0.0, 0.0, 0.0)
+        return cls(
+            health=health,
+            reason=reason,
+            pose=nowhere,
+            covariance=np.full((3, 3), np.inf),
+            initial=nowhere,
+            need=need,
+        )

@@ -1,0 +1,220 @@
+"""A pose filter that stays consistent although nobody knows where the robot started.
+
+The source's filter takes the initial pose C1 for exact and the noise of the two fixed views for
+white, though it is the same at every step; both make it sure of a wrong pose. Here both are
+part of the state,
+
+    [x, y, φ, β, φ1, q, e1 (N), e3 (N)],        C1 = (sin β, −cos β, φ1),
+
+positions in units of |C1|, metric pose (x/q, y/q, φ), e1 and e3 the errors of every feature's
+bearing in the initial and the target view. Only odometry knows metres and it enters linearly
+in q, so a wrong scale does not spoil the geometry that the images tell. Each bearing in the
+current view is one measurement, predicted by exact transfer from the other two views.
+
+The algebra is that of an extended Kalman filter; it uses that the motion touches three numbers
+and each bearing eight, which a general filter would multiply by zeros ten times as long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, solve_triangular
+
+from hal.types import Pose
+from robots.unicycle import exact_jacobians, step_exact, wrap_angle
+from visctrl.estimation.pose_start import MINIMUM_PARALLAX
+from visctrl.geometry.transfer import Transfer, transfer_bearing, wrap_half_turn
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: Numbers that all features share.
+CORE = 6
+#: A predicted bearing less certain than this (rad) is beyond what one linear step can use.
+_MAX_PREDICTED_SD = 0.1
+#: Innovations beyond this many standard deviations are errors, not noise.
+_GATE = 4.0
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """One measurement update.
+
+    nis : normalised innovation squared.
+    used : positions, among the bearings given, of those that were used.
+    """
+
+    nis: float
+    used: Index
+
+    @property
+    def dof(self) -> int:
+        """Dimension of the innovation."""
+        return len(self.used)
+
+
+class TransferFilter:
+    """Extended Kalman filter on the scale-free geometry of three views.
+
+    Parameters
+    ----------
+    x : (6 + 2N,) array
+        State in the order above.
+    P : (6 + 2N, 6 + 2N) array
+        Its covariance.
+    theta1, theta3 : (N,) arrays
+        Measured bearings of the features in the initial and the target view (rad).
+    """
+
+    def __init__(self, x: Array, P: Array, theta1: Array, theta3: Array) -> None:
+        self.x, self.P = x.copy(), P.copy()
+        self.theta1, self.theta3 = theta1.copy(), theta3.copy()
+
+    @property
+    def count(self) -> int:
+        """Number of features in the state."""
+        return len(self.theta1)
+
+    # --- prediction ------------------------------------------------------------------------
+
+    def advance(self, v: float, omega: float, dt: float, offset: float, noise: Array) -> None:
+        """Predict along the exact arc of a velocity.
+
+        Parameters
+        ----------
+        v, omega : float
+            Velocity during the step (m/s, rad/s).
+        dt : float
+            Its duration (s).
+        offset : float
+            Camera ahead of the axle (m).
+        noise : (2, 2) array
+            Covariance M of what was executed about (v, ω).
+        """
+        F, Q, motion = self.transition(v, omega, dt, offset, noise)
+        q = self.x[5]
+        self.x[:2] += q * motion[:2]
+        self.x[2] += motion[2]
+        # F is the identity but for its first three rows, which involve the core alone.
+        self.P[:3, :] = F @ self.P[:CORE, :]
+        self.P[:, :3] = self.P[:, :CORE] @ F.T
+        self.P[:3, :3] += Q
+
+    def transition(
+        self, v: float, omega: float, dt: float, offset: float, noise: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return ∂(x, y, φ)⁺/∂ core (3, 6), its noise (3, 3) and the motion (3,) in m."""
+        pose, q = self.x[:3], self.x[5]
+        motion = step_exact(pose, v, omega, dt, offset) - pose
+        by_pose, by_velocity = exact_jacobians(pose, v, omega, dt, offset)
+        F = np.zeros((3, CORE))
+        F[:, :3] = by_pose
+        F[:2, 2] *= q
+        F[:2, 5] = motion[:2]
+        by_velocity[:2] *= q
+        return F, by_velocity @ noise @ by_velocity.T, motion
+
+    # --- measurement -----------------------------------------------------------------------
+
+    def transfer(self, index: Index) -> Transfer:
+        """Return the predicted bearings of some features and their derivatives."""
+        x, beta = self.x, self.x[3]
+        initial = np.array([np.sin(beta), -np.cos(beta), x[4]])
+        theta1 = self.theta1[index] - x[CORE + index]
+        theta3 = self.theta3[index] - x[CORE + self.count + index]
+        return transfer_bearing(initial, x[:3], theta1, theta3)
+
+    def core_jacobian(self, transfer: Transfer) -> Array:
+        """Return ∂ bearing/∂ core (M, 6); those by the errors are −``transfer.by_bearings``."""
+        H = np.zeros((len(transfer.bearing), CORE))
+        H[:, :3] = transfer.by_current
+        s, c = np.sin(self.x[3]), np.cos(self.x[3])
+        H[:, 3] = transfer.by_initial[:, 0] * c + transfer.by_initial[:, 1] * s
+        H[:, 4] = transfer.by_initial[:, 2]
+        return H
+
+    def correct(self, index: Index, theta2: Array, sigma2: Array) -> Innovation:
+        """Use the bearings in the current view of some features.
+
+        Parameters
+        ----------
+        index : (M,) int array
+            Which features.
+        theta2, sigma2 : (M,) arrays
+            Their bearings and standard deviations (rad).
+
+        Returns
+        -------
+        Innovation
+            Bearings that are badly conditioned or contradict the state are left out.
+        """
+        transfer = self.transfer(index)
+        first, third = CORE + index, CORE + self.count + index
+        core = self.core_jacobian(transfer)
+        slopes = -transfer.by_bearings.T[..., None]
+        innovation = wrap_half_turn(theta2 - transfer.bearing)
+        # H P (M, 6 + 2N), with eight entries in a row of H.
+        HP = core @ self.P[:CORE] + slopes[0] * self.P[first] + slopes[1] * self.P[third]
+        predicted = np.einsum("ij,ij->i", HP[:, :CORE], core)
+        rows = np.arange(len(index))
+        predicted += HP[rows, first] * slopes[0, :, 0] + HP[rows, third] * slopes[1, :, 0]
+        good = (np.abs(transfer.parallax) > MINIMUM_PARALLAX) & (predicted < _MAX_PREDICTED_SD**2)
+        good &= innovation**2 < _GATE**2 * (predicted + sigma2**2)
+        used = np.flatnonzero(good)
+        if not len(used):
+            return Innovation(0.0, used)
+        HP, core, slopes = HP[used], core[used], slopes[:, used, 0]
+        S = HP[:, :CORE] @ core.T
+        S += HP[:, first[used]] * slopes[0] + HP[:, third[used]] * slopes[1]
+        S[np.arange(len(used)), np.arange(len(used))] += sigma2[used] ** 2
+        return Innovation(self._update(HP, S, innovation[used]), used)
+
+    def _update(self, HP: Array, S: Array, innovation: Array) -> float:
+        """Update by an innovation and its covariance; return its normalised square.
+
+        With S = L Lᵀ and W = L⁻¹ H P the gain is Wᵀ L⁻¹ and the covariance falls by Wᵀ W.
+        """
+        L = cho_factor(S, lower=True, check_finite=False)[0]
+        both = np.column_stack([HP, innovation])
+        whitened = solve_triangular(L, both, lower=True, check_finite=False)
+        W, y = whitened[:, :-1], whitened[:, -1]
+        self.x += y @ W
+        self.P -= W.T @ W
+        return float(y @ y)
+
+    def exchange(
+        self, slot: int, theta1: float, theta3: float, sigma1: float, sigma3: float
+    ) -> None:
+        """Forget the feature in a slot and put another one in its place."""
+        for row, sigma in ((CORE + slot, sigma1), (CORE + self.count + slot, sigma3)):
+            self.x[row] = 0.0
+            self.P[row, :] = self.P[:, row] = 0.0
+            self.P[row, row] = sigma**2
+        self.theta1[slot], self.theta3[slot] = theta1, theta3
+
+    # --- result ----------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> Pose:
+        """Camera pose in the target's frame (m, m, rad)."""
+        x, y, phi = self.x[:3]
+        q = self.x[5]
+        return Pose(float(x / q), float(y / q), float(wrap_angle(phi)))
+
+    @property
+    def initial(self) -> Pose:
+        """Pose of the initial view in the target's frame (m, m, rad)."""
+        beta, phi, q = self.x[3:CORE]
+        return Pose(float(np.sin(beta) / q), float(-np.cos(beta) / q), float(wrap_angle(phi)))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) of `pose`, to first order."""
+        x, y = self.x[:2]
+        q = self.x[5]
+        J = np.array([[1.0 / q, 0.0, 0.0, -x / q**2], [0.0, 1.0 / q, 0.0, -y / q**2], [0, 0, 1, 0]])
+        which = [0, 1, 2, 5]
+        return np.asarray(J @ self.P[np.ix_(which, which)] @ J.T, dtype=np.float64)
