@@ -105,4 +105,3 @@ class World:
     def context(self, period: float, seed: int = 0) -> Context:
         """Return what plugins are told about this robot."""
         return Context(self.believed, None, self.offset, period, seed, lockstep=True)
-
