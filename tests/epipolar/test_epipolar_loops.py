@@ -43,7 +43,7 @@ def source(start: Start, duration: float = 20.0, **world: float) -> Run:
 
 @pytest.mark.parametrize(
     ("start", "published"),
-    zip(TABLE, [(0.53, 0.08), (0.16, 0.04), (2.84, 0.01), (4.10, 0.02)], strict=True),
+    list(zip(TABLE, [(0.53, 0.08), (0.16, 0.04), (2.84, 0.01), (4.10, 0.02)], strict=True)),
 )
 def test_nearer_to_the_target_than_published(start: Start, published: tuple[float, float]) -> None:
     run = smooth(start)
