@@ -1,8 +1,8 @@
 """What the epipoles cost and how good they are, beside OpenCV's MAGSAC on the same data.
 
 Planar motion, 0.5 px noise, a fifth of gross outliers. Accuracy is the median bearing error of
-the current view's epipole; time is the median processor time of one call, on one thread. At the end, one whole
-tick of estimation (three pairs) and control.
+the current view's epipole; time is the median processor time of one call, on one thread. At the
+end, one whole tick of estimation (three pairs) and control.
 
     python benchmarks/bench_epipolar.py [--trials N] [--features N] [--json]
 """
