@@ -73,8 +73,15 @@ def replay_command(
     from visctrl.cli.replay import replay_images
     from visctrl.config import Override
 
-    overrides = flag_overrides(settings=settings, scheme=scheme, camera=camera, seed=seed)
-    for key, name in (("perception", perception), ("estimator", estimator)):
-        if name is not None:
-            overrides.append(Override((key, "name"), name, f"--{key} {name}"))
+    # Options set with --set are those of the plugins named here, whatever the order.
+    named = [
+        Override((key, *name), value, f"--{key} {value}")
+        for key, name, value in (
+            ("scheme", (), scheme),
+            ("perception", ("name",), perception),
+            ("estimator", ("name",), estimator),
+        )
+        if value is not None
+    ]
+    overrides = named + flag_overrides(settings=settings, camera=camera, seed=seed)
     replay_images(source, overrides, target, out, video=video, as_json=as_json, quiet=quiet)
