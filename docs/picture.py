@@ -1,6 +1,6 @@
 """Compose the README's picture from a run directory.
 
-    visctrl run --start -0.9 -2.6 30 --out runs/picture && python docs/picture.py runs/picture
+visctrl run --start -0.9 -2.6 30 --out runs/picture && python docs/picture.py runs/picture
 """
 
 import sys

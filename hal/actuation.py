@@ -74,9 +74,9 @@ class Actuation:
         """
         if not velocity.finite:
             raise ValueError(f"velocity command is not finite: {velocity}")
-        sent = self._bounded(velocity)
+        sent = bounded(velocity, self._limits)
         if self._options.quantise:
-            sent = self._quantised(sent)
+            sent = quantised(sent, self._limits)
         self._pending.append((t + self._options.delay_s, sent))
         return sent
 
@@ -110,22 +110,22 @@ class Actuation:
         self._pending.clear()
         self._wanted = self._set_point = STANDSTILL
 
-    def _bounded(self, velocity: Velocity) -> Velocity:
-        if self._limits is None:
-            return velocity
-        excess = max(
-            1.0,
-            abs(velocity.v) / self._limits.v_m_s,
-            abs(velocity.omega) / self._limits.omega_rad_s,
-        )
-        return Velocity(velocity.v / excess, velocity.omega / excess)
 
-    def _quantised(self, velocity: Velocity) -> Velocity:
-        top_mm = self._limits.v_m_s * _MM if self._limits else math.inf
-        top_deg = self._limits.omega_deg_s if self._limits else math.inf
-        v_mm = _whole(velocity.v * _MM, top_mm)
-        omega_deg = _whole(math.degrees(velocity.omega), top_deg)
-        return Velocity(v_mm / _MM, math.radians(omega_deg))
+def bounded(velocity: Velocity, limits: Limits | None) -> Velocity:
+    """Return ``velocity`` within its bounds, both components scaled alike (curvature stays)."""
+    if limits is None:
+        return velocity
+    excess = max(1.0, abs(velocity.v) / limits.v_m_s, abs(velocity.omega) / limits.omega_rad_s)
+    return Velocity(velocity.v / excess, velocity.omega / excess)
+
+
+def quantised(velocity: Velocity, limits: Limits | None) -> Velocity:
+    """Return ``velocity`` in whole mm/s and deg/s, the nearest that keep its bounds."""
+    top_mm = limits.v_m_s * _MM if limits else math.inf
+    top_deg = limits.omega_deg_s if limits else math.inf
+    v_mm = _whole(velocity.v * _MM, top_mm)
+    omega_deg = _whole(math.degrees(velocity.omega), top_deg)
+    return Velocity(v_mm / _MM, math.radians(omega_deg))
 
 
 def _whole(value: float, bound: float) -> int:

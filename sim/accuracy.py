@@ -117,7 +117,7 @@ def _corner_points(scene: Scene) -> Array:
 
 def _board_corners(surface: Surface) -> Array:
     width, height = surface.pattern.width_m, surface.pattern.height_m
-    side = surface.sides[0]
+    side = surface.side
     right, up = side.right / width, side.up / height
     across = np.arange(1, round(width / CHECK_M)) * CHECK_M
     # Squares are counted from the upper edge.

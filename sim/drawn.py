@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import tempfile
 from functools import cache
+from hashlib import blake2b
 from pathlib import Path
 
 import cv2
@@ -18,7 +20,7 @@ from sim.engine import pybullet
 from sim.frames import TO_ENGINE, heading_matrix
 from sim.scene import Scene
 from sim.surfaces import Surface, surfaces
-from sim.textures import FINEST_SIGMA_M, LEVELS, Levels, Pattern
+from sim.textures import FINEST_SIGMA_M, LEVELS, NEAREST_TEXEL_FINENESS, Levels, Pattern
 
 Array = NDArray[np.float64]
 
@@ -42,7 +44,6 @@ class TextureFiles:
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="visctrl-textures-")
         self._made: dict[Pattern, Levels] = {}
-        self._numbers: dict[Pattern, int] = {}
         self._meshes = 0
 
     @staticmethod
@@ -51,14 +52,17 @@ class TextureFiles:
         """Return this process's only instance."""
         return TextureFiles()
 
-    def texture(self, pattern: Pattern, level: int) -> str:
-        """Return the file that shows ``pattern`` at ``level``."""
-        number = self._numbers.setdefault(pattern, len(self._numbers))
-        path = Path(self._folder.name) / f"{number}-{level}.bmp"
+    def texture(self, pattern: Pattern, level: int, fineness: float) -> str:
+        """Return the file that shows ``pattern`` at ``level`` (see `Levels.image`)."""
+        content = blake2b(repr((pattern, level, fineness)).encode(), digest_size=12)
+        path = Path(self._folder.name) / f"{content.hexdigest()}.bmp"
         if not path.exists():
             if pattern not in self._made:
                 self._made[pattern] = Levels(pattern)
-            cv2.imwrite(str(path), self._made[pattern].image(level))
+            # Complete or not there at all: a forked process may share the folder.
+            draft = path.with_name(f"{os.getpid()}.bmp")
+            cv2.imwrite(str(draft), self._made[pattern].image(level, fineness))
+            draft.replace(path)
         return str(path)
 
     def forget(self) -> None:
@@ -68,7 +72,7 @@ class TextureFiles:
     def mesh(self, text: str) -> str:
         """Return a new file with a Wavefront mesh: two bodies of one file would share textures."""
         self._meshes += 1
-        path = Path(self._folder.name) / f"{self._meshes}.obj"
+        path = Path(self._folder.name) / f"{os.getpid()}-{self._meshes}.obj"
         path.write_text(text, encoding="ascii")
         return str(path)
 
@@ -102,14 +106,16 @@ class DrawnScene:
         self._camera = camera
         self._files = files
         self._mipmapped = mipmapped
+        self._fineness = 1.0 if mipmapped else NEAREST_TEXEL_FINENESS
+        self._polar = _seen_polar(camera)
         self._surfaces = surfaces(scene)
         self._items = {item.name: item for item in scene.items}
         self._textures: dict[tuple[int, int], int] = {}
         self._bodies = [self._build(surface) for surface in self._surfaces]
         # Nothing shown yet: any level is a change.
         self._levels = np.full(len(self._bodies), -LEVELS)
-        self._centres = np.array([s.sides[0].corners.mean(axis=0) for s in self._surfaces])
-        self._normals = np.array([s.sides[0].normal for s in self._surfaces])
+        self._centres = np.array([s.side.corners.mean(axis=0) for s in self._surfaces])
+        self._normals = np.array([s.side.normal for s in self._surfaces])
         if mipmapped:
             for i in range(len(self._bodies)):
                 self._show(i, 1)
@@ -139,7 +145,7 @@ class DrawnScene:
             pybullet.resetBasePositionAndOrientation(
                 self._bodies[i], where.tolist(), spin, physicsClientId=self._client
             )
-            side = surface.sides[0]
+            side = surface.side
             self._centres[i] = R @ side.corners.mean(axis=0) + shift
             self._normals[i] = R @ side.normal
 
@@ -165,9 +171,13 @@ class DrawnScene:
     def _texture(self, index: int, level: int) -> int:
         key = (index, level)
         if key not in self._textures:
-            path = self._files.texture(self._surfaces[index].pattern, level)
-            self._textures[key] = pybullet.loadTexture(path, physicsClientId=self._client)
+            self._textures[key] = pybullet.loadTexture(
+                self._file(index, level), physicsClientId=self._client
+            )
         return self._textures[key]
+
+    def _file(self, index: int, level: int) -> str:
+        return self._files.texture(self._surfaces[index].pattern, level, self._fineness)
 
     def _make_ready(self, scene: Scene) -> None:
         """Make the texture files that the arena needs, so that driving there is not held up."""
@@ -176,7 +186,7 @@ class DrawnScene:
                 eye = np.array([x, y, _TYPICAL_HEIGHT_M])
                 exact, facing = self._exact_levels(eye, 0.0)
                 for i in np.flatnonzero(facing & self._may_be_seen(eye)):
-                    self._files.texture(self._surfaces[i].pattern, round(exact[i]))
+                    self._file(int(i), round(exact[i]))
         self._files.forget()
 
     def _may_be_seen(self, eye: Array) -> NDArray[np.bool_]:
@@ -185,7 +195,7 @@ class DrawnScene:
             return np.ones(len(self._centres), dtype=bool)
         towards = self._centres - eye
         bearing = np.abs(np.arctan2(towards[:, 0], towards[:, 1]))
-        return bearing < math.radians(self._camera.max_polar_deg) + _TYPICAL_HEADING
+        return np.asarray(bearing < self._polar[1] + _TYPICAL_HEADING)
 
     def _exact_levels(self, eye: Array, phi: float) -> tuple[Array, NDArray[np.bool_]]:
         """Return the (fractional) level that each surface needs, and whether it faces the eye."""
@@ -203,12 +213,16 @@ class DrawnScene:
         """Return the camera's resolution towards each surface, at the nearest ray it sees."""
         rays = towards @ heading_matrix(phi) @ self._camera.rotation
         polar = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-        seen = np.clip(
-            polar,
-            math.radians(self._camera.min_polar_deg),
-            math.radians(self._camera.max_polar_deg),
-        )
+        seen = np.clip(polar, *self._polar)
         rays = np.stack([np.sin(seen), np.zeros_like(seen), np.cos(seen)], axis=-1)
         J = self._camera.jacobian(rays)
         area = np.sqrt(np.linalg.det(J @ np.swapaxes(J, -1, -2)))
         return np.asarray(np.sqrt(area), dtype=np.float64)
+
+
+def _seen_polar(camera: CentralCamera) -> tuple[float, float]:
+    """Return the least and largest angle (rad) from the optical axis in a camera's image."""
+    v, u = np.mgrid[0 : camera.height : 8, 0 : camera.width : 8].astype(np.float64)
+    rays, valid = camera.unproject(np.stack([u, v], axis=-1))
+    polar = np.arccos(np.clip(rays[valid][:, 2], -1.0, 1.0))
+    return float(polar.min()), float(polar.max())

@@ -9,7 +9,7 @@ from statistics import fmean
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.errors import InputError
+from hal.errors import DeviceError, InputError
 from hal.types import STANDSTILL, Pose, Velocity
 from robots import Robot
 from robots.documents import suggestion
@@ -155,9 +155,12 @@ class Physics:
             self.client = -1
 
     def _advance(self) -> None:
-        if self._tyres is not None:
-            self._tyres.push(self._speeds)
-        pybullet.stepSimulation(physicsClientId=self.client)
+        try:
+            if self._tyres is not None:
+                self._tyres.push(self._speeds)
+            pybullet.stepSimulation(physicsClientId=self.client)
+        except pybullet.error as error:
+            raise DeviceError(f"the simulation is gone (its window was closed?): {error}") from None
 
     def _skid_tyres(self) -> SkidTyres:
         """Replace the wheels' contact friction by tyre forces."""
@@ -233,17 +236,20 @@ class Physics:
 
 
 def _boxes(scene: Scene) -> dict[str, tuple[Array, Pose, float]]:
-    """Return size, centre and height of centre of everything solid, by name."""
+    """Return size, centre and height of centre of everything solid, by name.
+
+    No item has a wall's name: these have a slash in front.
+    """
     boxes = {item.name: _item_box(item) for item in scene.items}
     room = scene.room
     (x0, x1), (y0, y1) = room.x_m, room.y_m
     thick, high = _WALL_THICKNESS_M, room.height_m
     middle = ((x0 + x1) / 2, (y0 + y1) / 2)
     for name, at, size in (
-        ("front wall", (middle[0], y1 + thick / 2), (x1 - x0 + 2 * thick, thick)),
-        ("back wall", (middle[0], y0 - thick / 2), (x1 - x0 + 2 * thick, thick)),
-        ("right wall", (x1 + thick / 2, middle[1]), (thick, y1 - y0)),
-        ("left wall", (x0 - thick / 2, middle[1]), (thick, y1 - y0)),
+        ("/front", (middle[0], y1 + thick / 2), (x1 - x0 + 2 * thick, thick)),
+        ("/back", (middle[0], y0 - thick / 2), (x1 - x0 + 2 * thick, thick)),
+        ("/right", (x1 + thick / 2, middle[1]), (thick, y1 - y0)),
+        ("/left", (x0 - thick / 2, middle[1]), (thick, y1 - y0)),
     ):
         boxes[name] = (np.array([*size, high]), Pose(*at, 0.0), high / 2)
     return boxes

@@ -45,7 +45,7 @@ class Finish(Paint):
 class Item(Finish):
     """A box that stands on the floor or hangs above it; a panel is a thin one."""
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^[^/]+$")]
     at_m: tuple[float, float]
     size_m: tuple[Positive, Positive, Positive]
     bottom_m: Annotated[float, Field(ge=0)] = 0.0

@@ -23,15 +23,11 @@ _GROUND_CLEARANCE_M = 1e-3
 
 @dataclass(frozen=True)
 class Rectangle:
-    """One visible side: ``corner`` + a ``right`` + b ``up``, 0 ≤ a, b ≤ 1, as its viewer sees it.
-
-    u : (from, to) range of the horizontal texture coordinate.
-    """
+    """One visible side: ``corner`` + a ``right`` + b ``up`` (0 ≤ a, b ≤ 1), for its viewer."""
 
     corner: Array
     right: Array
     up: Array
-    u: tuple[float, float] = (0.0, 1.0)
 
     @property
     def corners(self) -> Array:
@@ -49,25 +45,20 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Surface:
-    """Rectangles that share one texture. ``item`` names the scene's item, "" for the room."""
+    """A rectangle and its texture. ``item`` names the scene's item, "" for the room."""
 
     name: str
     pattern: Pattern
-    sides: tuple[Rectangle, ...]
+    side: Rectangle
     item: str = ""
 
     def obj(self, to_engine: Array) -> str:
         """Return a Wavefront mesh, its vertices turned by ``to_engine`` (3, 3)."""
-        lines = []
-        for side in self.sides:
-            lines += ["v {:.9g} {:.9g} {:.9g}".format(*c) for c in side.corners @ to_engine.T]
-            u0, u1 = min(side.u[0], _LAST), min(side.u[1], _LAST)
-            corners = ((u0, 0.0), (u1, 0.0), (u1, _LAST), (u0, _LAST))
-            lines += [f"vt {u:.7f} {v:.7f}" for u, v in corners]
-        for i in range(len(self.sides)):
-            a, b, c, d = (4 * i + k for k in range(1, 5))
-            lines += [f"f {a}/{a} {b}/{b} {c}/{c}", f"f {a}/{a} {c}/{c} {d}/{d}"]
-        return "\n".join(lines) + "\n"
+        vertices = self.side.corners @ to_engine.T
+        lines = ["v {:.9g} {:.9g} {:.9g}".format(*vertex) for vertex in vertices]
+        corners = ((0.0, 0.0), (_LAST, 0.0), (_LAST, _LAST), (0.0, _LAST))
+        lines += [f"vt {u:.7f} {v:.7f}" for u, v in corners]
+        return "\n".join([*lines, "f 1/1 2/2 3/3", "f 1/1 3/3 4/4", ""])
 
 
 def surfaces(scene: Scene) -> tuple[Surface, ...]:
@@ -104,7 +95,7 @@ def _tiles(name: str, start: Array, end: Array, room: Room, seed: int) -> list[S
         Surface(
             f"{name} {i}",
             _pattern(room.walls, length / count, room.height_m, 0.0, f"{name} {i}", seed),
-            (Rectangle(np.append(start, 0.0) + i * step, step, up),),
+            Rectangle(np.append(start, 0.0) + i * step, step, up),
         )
         for i in range(count)
     ]
@@ -145,7 +136,7 @@ def _item_side(
     name = f"{item.name} {side}"
     margin = min(item.margin_m, 0.2 * min(width, height))
     lit = item.model_copy(update={"shade": item.shade * _SIDE_LIGHT[side]})
-    return Surface(name, _pattern(lit, width, height, margin, name, seed), (rectangle,), item.name)
+    return Surface(name, _pattern(lit, width, height, margin, name, seed), rectangle, item.name)
 
 
 def _pattern(

@@ -27,9 +27,9 @@ BASE_DENSITY = 256.0
 _BASE_SIGMA = 1.4
 #: Blur of the sharpest level, 0 (m); each next level doubles it.
 FINEST_SIGMA_M = _BASE_SIGMA / 2 / BASE_DENSITY
-#: Interpolated texels per texel that the content needs: a nearest-texel renderer shows features
-#: out of place by a fraction of a texel, so these must be small against the blur.
-FINENESS = 3.0
+#: Interpolated texels per texel that the content needs, for a renderer that shows the nearest
+#: texel: it shows features out of place by a fraction of one.
+NEAREST_TEXEL_FINENESS = 3.0
 #: Textures are not made larger than this (texels).
 _MOST_TEXELS = 2e6
 LEVELS = 6
@@ -91,11 +91,14 @@ class Levels:
         self._base = pattern.base()
         self._filtered: list[Plane] = []
 
-    def image(self, level: int) -> Image:
-        """Return level ``level``: 0 is the sharpest, blurred by `FINEST_SIGMA_M`."""
+    def image(self, level: int, fineness: float) -> Image:
+        """Return level ``level`` (0 is the sharpest, blurred by `FINEST_SIGMA_M`).
+
+        It has ``fineness`` interpolated texels, along a line, for each that its content needs.
+        """
         if level == 0:
             smooth = _blurred(self._base, _BASE_SIGMA / 2)
-            return _fine(smooth, 2.0 * FINENESS)
+            return _fine(smooth, 2.0 * fineness)
         while len(self._filtered) < level:
             if not self._filtered:
                 self._filtered.append(_blurred(self._base, _BASE_SIGMA))
@@ -103,7 +106,7 @@ class Levels:
             # Variances add up: what is missing to twice the blur, before every other is dropped.
             last = _blurred(self._filtered[-1], _BASE_SIGMA * math.sqrt(3.0))
             self._filtered.append(_resized(last, 0.5))
-        return _fine(self._filtered[level - 1], FINENESS)
+        return _fine(self._filtered[level - 1], fineness)
 
 
 def periodic_noise(rng: np.random.Generator, side: int) -> Plane:

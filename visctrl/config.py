@@ -92,9 +92,11 @@ class Start(Document):
 class Target(Document):
     """Where the target view comes from.
 
-    frames : how many frames a simulated robot takes at the target.
+    file : a view made by ``visctrl teach``; without it a simulated robot visits the target.
+    frames : how many frames it takes there.
     """
 
+    file: str | None = None
     frames: Annotated[int, Field(ge=1, le=1000)] = 1
 
 

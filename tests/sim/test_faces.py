@@ -77,8 +77,9 @@ def test_faces_are_as_fine_as_the_image_needs_and_not_much_finer(camera: Central
     assert 0.7 < np.median(jump[both]) < 1.2
 
 
-@cameras
-def test_detail_scales_the_faces(camera: CentralCamera) -> None:
+@pytest.mark.parametrize("name", ["fisheye", "paracatadioptric"])
+def test_detail_scales_the_faces(name: str) -> None:
+    camera = load_camera(name)
     whole = plan_faces(camera, TINY)
     half = plan_faces(camera, TINY, detail=0.5)
     assert half.pixels == pytest.approx(whole.pixels / 4, rel=0.1)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from hal.actuation import Actuation, ActuationOptions
+from hal.errors import DeviceError
 from hal.types import Pose, Velocity
 from robots import load_robot, robot_names
 from robots.unicycle import relative_pose, step_exact
+from sim.engine import disconnect
 from sim.physics import STEPS_PER_SECOND, Physics
 from sim.scene import Item, Room, Scene
 
@@ -96,6 +98,15 @@ def test_a_moved_item_is_met_where_it_is() -> None:
         assert physics.axle().y > 1.2
     finally:
         physics.close()
+
+
+def test_a_closed_window_is_a_device_fault() -> None:
+    physics = Physics(EMPTY, load_robot("p3at"))
+    physics.put(START)
+    disconnect(physics.client)
+    with pytest.raises(DeviceError, match="window was closed"):
+        physics.step()
+    physics.close()
 
 
 def test_walls_are_solid() -> None:

@@ -64,7 +64,7 @@ def test_the_margin_is_plain() -> None:
 @pytest.mark.parametrize("level", range(LEVELS))
 def test_levels_are_blurred_as_much_as_they_say(level: int) -> None:
     levels = Levels(PATTERN)
-    image = levels.image(level).astype(np.float32)
+    image = levels.image(level, 1.0).astype(np.float32)
     sigma = FINEST_SIGMA_M * 2.0**level * BASE_DENSITY
     expected = cv2.GaussianBlur(PATTERN.base(), (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     found = cv2.resize(image, expected.shape[::-1], interpolation=cv2.INTER_CUBIC)

@@ -21,7 +21,6 @@ from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.schemes import SCHEMES, missing_plugins
 
-
 _WIDE = 200
 
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from visctrl.cli.hardware import add_hardware_commands
+
 _INTERRUPTED = 130
 
 app = typer.Typer(
@@ -89,6 +91,26 @@ ToleranceOption = Annotated[
         metavar="M DEG", help="What counts as reached: distance and heading.", show_default=False
     ),
 ]
+TargetOption = Annotated[
+    str | None,
+    typer.Option(metavar="FILE", help="Target view made by `visctrl teach`.", show_default=False),
+]
+RobotPortOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PORT",
+        help="The robot's serial device or URL (pioneer), as /dev/ttyUSB0 or socket://host:8101.",
+        show_default=False,
+    ),
+]
+CameraUrlOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SOURCE",
+        help="The robot's camera (pioneer): device number or path, video file, or stream's URL.",
+        show_default=False,
+    ),
+]
 RealtimeOption = Annotated[
     bool | None, typer.Option("--realtime/--lockstep", help="Simulate on the wall clock.")
 ]
@@ -107,6 +129,9 @@ def run_command(
     noise_px: NoiseOption = None,
     tolerance: ToleranceOption = None,
     realtime: RealtimeOption = None,
+    target: TargetOption = None,
+    port: RobotPortOption = None,
+    camera_url: CameraUrlOption = None,
     settings: SetOption = None,
     out: Annotated[
         Path | None,
@@ -138,6 +163,9 @@ def run_command(
         noise_px=noise_px,
         tolerance=tolerance,
         realtime=realtime,
+        target=target,
+        port=port,
+        camera_url=camera_url,
         gui=gui,
     )
     try:
@@ -195,3 +223,6 @@ def reproduce_command(
         show_entries()
         return
     raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json))
+
+
+add_hardware_commands(app)

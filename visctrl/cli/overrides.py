@@ -21,6 +21,9 @@ def flag_overrides(
     noise_px: float | None = None,
     tolerance: tuple[float, float] | None = None,
     realtime: bool | None = None,
+    target: str | None = None,
+    port: str | None = None,
+    camera_url: str | None = None,
     gui: bool = False,
 ) -> list[Override]:
     """Return the overrides that options ask for: ``--set`` first, the others win over it."""
@@ -40,6 +43,9 @@ def flag_overrides(
         ("--tolerance", "tolerance.position_m", position),
         ("--tolerance", "tolerance.heading_deg", heading),
         ("--realtime", "realtime", realtime),
+        ("--target", "target.file", target),
+        ("--port", "pioneer.port", port),
+        ("--camera-url", "pioneer.camera.source", camera_url),
         ("--gui", "sim.gui", True if gui else None),
     ]
     flags = [

@@ -41,7 +41,7 @@ def run(
     """
     backends = REGISTRIES.backends.known()
     loaded = load_scenario(scenario, overrides, backends)
-    _check_flags(overrides, loaded.scenario.backend)
+    check_flags(overrides, loaded.scenario.backend)
     plan = make_plan(loaded)
     directory = out if out is not None else _fresh_directory(plan)
     console = Console(stderr=True)
@@ -76,7 +76,7 @@ def _stdout_as_stderr() -> Iterator[None]:
         os.close(kept)
 
 
-def _check_flags(overrides: Sequence[Override], backend: str) -> None:
+def check_flags(overrides: Sequence[Override], backend: str) -> None:
     """Refuse options that the chosen backend would ignore."""
     for override in overrides:
         option = override.origin.split()[0]
@@ -85,6 +85,8 @@ def _check_flags(overrides: Sequence[Override], backend: str) -> None:
                 f"--noise-px: backend '{backend}' finds its features in images; there use "
                 "--set sim.image_noise=LEVELS"
             )
+        if option in ("--port", "--camera-url") and backend != "pioneer":
+            raise InputError(f"{option}: backend '{backend}' has no such device")
         if option == "--gui" and backend != "sim":
             raise InputError(f"--gui: backend '{backend}' has no window")
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import statistics
-from collections import deque
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
@@ -12,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from hal.types import STANDSTILL, Velocity
-from robots.documents import Document
+from visctrl.control.arrival import Arrival, ArrivalOptions, Verdict
 from visctrl.control.shaping import CommandShaper
 from visctrl.control.sliding_mode import CosineDescent
 from visctrl.control.trifocal_law import (
@@ -42,15 +40,13 @@ _DAMPING_SIGMAS = 15.0
 _THERE = 1e-3
 #: So many times the initial distance away, and so much farther, the robot gives up.
 _ASTRAY, _LEEWAY_M = 1.5, 0.5
-#: The robot stands when it is told to move slower than this.
-_STANDING = Velocity(0.006, math.radians(1.5))
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 
-class TrifocalSmcOptions(Document):
-    """Options of `TrifocalSmc`. A gain that is left out takes the value of ``law``.
+class TrifocalSmcOptions(ArrivalOptions):
+    """Options of `TrifocalSmc`, besides `ArrivalOptions`. A gain left out is that of ``law``.
 
     law : ``published`` is the source's, discontinuous; ``practical`` has boundary layers, a
         damped inverse in place of the bounded law, a lateral reference that falls faster than
@@ -61,10 +57,6 @@ class TrifocalSmcOptions(Document):
         ``practical`` where φ1 is known.
     finish : step 2 ends by ``threshold`` (position and heading within tolerance, standing) or
         by ``time`` (after ``orientation_s``, 6/λω if left out).
-    tolerance_m, tolerance_deg : what counts as there, by the robot's own measurement.
-    steady_ticks : over how many ticks at a standstill that is averaged.
-    retreats : how often to back up and come again when the lateral error stays too large.
-    retreat_m : how far back at least.
     whole_units : round to whole mm/s and deg/s, carrying the remainder.
     """
 
@@ -85,11 +77,6 @@ class TrifocalSmcOptions(Document):
     lambda_omega: Positive | None = None
     finish: Literal["threshold", "time"] = "threshold"
     orientation_s: Positive | None = None
-    tolerance_m: Positive = 0.01
-    tolerance_deg: Positive = 0.3
-    steady_ticks: Annotated[int, Field(ge=2)] = 8
-    retreats: Annotated[int, Field(ge=0, le=10)] = 2
-    retreat_m: Positive = 0.4
     whole_units: bool = True
 
     def gains(self) -> Gains:
@@ -124,7 +111,6 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         self._sent = STANDSTILL
         self._advanced = 0.0
         self._retreats = 0
-        self._room = 0.0
         self._values: dict[str, float] = {}
         self._begin_position(None)
 
@@ -153,7 +139,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             wanted = self._retreat(seen)
         else:
             wanted = self._orientation(seen, dt)
-            if self._finished(seen):
+            if self._finished(seen, dt):
                 return Decision(self._shaper.stop(), self._phase, finished=True)
         return self._command(wanted, dt)
 
@@ -202,7 +188,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
     def _begin_position(self, seen: Situation | None, scale_sd: float = math.inf) -> None:
         self._progress = 0.0
         self._waited = 0.0
-        self._recent: deque[tuple[float, float, float]] = deque(maxlen=self.options.steady_ticks)
+        self._arrival = Arrival(self.options)
         self._reference = CosineDescent(1.0)
         if seen is None:
             self._from, self._power = (0.0, 0.0), 1.0
@@ -282,46 +268,22 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             return orientation_step(seen, self._gains)
         return settling_step(seen, self._gains)
 
-    def _finished(self, seen: Situation) -> bool:
+    def _finished(self, seen: Situation, dt: float) -> bool:
         """Return whether the robot's own measurements say that it is there (or time is up)."""
         options = self.options
         if options.finish == "time":
             duration = options.orientation_s or 6.0 / self._gains.lambda_omega
             return self._waited >= duration
-        standing = abs(self._sent.v) <= _STANDING.v and abs(self._sent.omega) <= _STANDING.omega
-        if not standing:
-            self._recent.clear()
-        self._recent.append((seen.right * seen.scale, seen.forward * seen.scale, seen.heading))
-        if len(self._recent) < options.steady_ticks:
-            return False
-        columns = list(zip(*self._recent, strict=True))
-        right, forward, heading = (statistics.fmean(column) for column in columns)
-        tolerances = options.tolerance_m, math.radians(options.tolerance_deg)
-        if abs(forward) > tolerances[0] or abs(heading) > tolerances[1]:
-            self._waited = 0.0
-            return False
-        # Within tolerance it gets better still until the measurement shows no more error.
-        settled = all(
-            abs(mean) <= max(tolerance / 10.0, 2.0 * statistics.stdev(column) / len(column) ** 0.5)
-            for mean, column, tolerance in zip(
-                (forward, heading), columns[1:], tolerances, strict=True
-            )
-        )
-        if not settled and self._waited < _PATIENCE_S:
-            return False
-        if abs(right) <= options.tolerance_m:
-            return True
-        certain = abs(right) > options.tolerance_m + 2.0 * seen.lateral_sd * seen.scale
-        if certain and self._retreats < options.retreats:
+        place = seen.right * seen.scale, seen.forward * seen.scale
+        verdict = self._arrival.judge(place, seen.heading, self._sent, dt)
+        if verdict is Verdict.BESIDE and self._retreats < options.retreats:
             self._retreats += 1
             self._phase = "retreat"
-            # Room for a way back whose slope stays small.
-            self._room = min(max(options.retreat_m, 6.0 * abs(right)), 3.0 * options.retreat_m)
-        return False
+        return verdict is Verdict.THERE
 
     def _retreat(self, seen: Situation) -> Velocity:
         """Return the velocity straight back; step 1 begins again from there."""
-        if seen.forward * seen.scale >= self._room:
+        if seen.forward * seen.scale >= self._arrival.room_m:
             self._sent = STANDSTILL
             self._begin_position(seen, 0.0)
             return STANDSTILL

@@ -41,6 +41,51 @@ _ENTRIES = (
         "every camera and both robots on rendered images (bounds are the project's own)",
         "visctrl.experiments.starts:cameras",
     ),
+    Entry(
+        "table-2.1",
+        "epipolar control from four starts: the smooth law; the source's shown beside it",
+        "visctrl.experiments.epipolar:table_2_1",
+    ),
+    Entry(
+        "table-2.1-noise",
+        "the same with 0.5 px noise, 20 seeds (bounds are the project's own)",
+        "visctrl.experiments.epipolar:table_2_1_noise",
+    ),
+    Entry(
+        "fig-2.5",
+        "epipolar control: paths and epipoles of the four starts",
+        "visctrl.experiments.epipolar:figure_2_5",
+    ),
+    Entry(
+        "fig-2.6",
+        "through the singularity with and without the sliding mode",
+        "visctrl.experiments.epipolar:figure_2_6",
+    ),
+    Entry(
+        "fig-2.8",
+        "epipolar control with omnidirectional cameras (bounds are the project's own)",
+        "visctrl.experiments.epipolar:figure_2_8",
+    ),
+    Entry(
+        "fig-2.11",
+        "epipolar control with wrong focal lengths and image centres",
+        "visctrl.experiments.epipolar:figure_2_11",
+    ),
+    Entry(
+        "fig-2.12",
+        "epipolar control with 0.5 px noise, median of 20 seeds (bounds are the project's own)",
+        "visctrl.experiments.epipolar:figure_2_12",
+    ),
+    Entry(
+        "fig-2.13",
+        "epipolar control of a simulated Pioneer, rendered images (bounds are the project's own)",
+        "visctrl.experiments.epipolar:figure_2_13",
+    ),
+    Entry(
+        "robot-2.15",
+        "the epipolar robot experiment on the simulator, rendered images",
+        "visctrl.experiments.epipolar:robot_2_15",
+    ),
 )
 ENTRIES = {entry.name: entry for entry in _ENTRIES}
 

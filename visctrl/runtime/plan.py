@@ -28,6 +28,7 @@ from visctrl.runtime.schemes import (
     APPROACH_ESTIMATOR,
     scheme_named,
 )
+from visctrl.target_view import TargetView, load_target
 
 T = TypeVar("T")
 
@@ -65,6 +66,7 @@ class Plan:
 
     camera : the calibration; true_camera : what simulated frames are made with.
     limits : bounds of speed and acceleration, None for an ideal robot.
+    target : the target view, None where a simulated robot takes it itself.
     approach : the turn towards the target; None where the run goes without.
     """
 
@@ -76,6 +78,7 @@ class Plan:
     camera: CentralCamera
     true_camera: CentralCamera
     limits: Limits | None
+    target: TargetView | None
     perception: Chosen[Perception[Any]]
     approach: StagePlan | None
     main: StagePlan
@@ -139,9 +142,10 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
     backend = _at(loaded, ("backend",), lambda: registries.backends.load(scenario.backend))
     robot = _at(loaded, ("robot",), lambda: load_robot(scenario.robot))
     mount = _at(loaded, ("camera", "mount"), lambda: robot.mount(scenario.camera.mount))
-    camera = _at(loaded, ("camera",), lambda: _camera(scenario.camera))
+    camera = _at(loaded, ("camera",), lambda: chosen_camera(scenario.camera))
     true_camera = _at(loaded, ("camera_error",), lambda: _true(camera, scenario.camera_error))
     limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
+    target = _at(loaded, ("target", "file"), lambda: _target(scenario.target.file, camera))
     ideal = getattr(backend_options, "ideal", False)
     perception, approach, main = _plugins(loaded, registries, backend)
     return Plan(
@@ -153,6 +157,7 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         camera=camera,
         true_camera=true_camera,
         limits=None if ideal else limits,
+        target=target,
         perception=perception,
         approach=approach,
         main=main,
@@ -250,7 +255,14 @@ def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> Docu
     return options()
 
 
-def _camera(choice: CameraChoice) -> CentralCamera:
+def chosen_camera(choice: CameraChoice) -> CentralCamera:
+    """Return the calibration that a scenario's ``camera`` names, in the size it asks for.
+
+    Raises
+    ------
+    InputError
+        No such camera or file, or a size of another shape.
+    """
     if choice.name.endswith((".yaml", ".yml")):
         camera = load(Path(choice.name), CentralCamera)
     else:
@@ -260,6 +272,14 @@ def _camera(choice: CameraChoice) -> CentralCamera:
     width = choice.width or round(camera.width * (choice.height or 0) / camera.height)
     height = choice.height or round(camera.height * width / camera.width)
     return camera.resized(width, height)
+
+
+def _target(file: str | None, camera: CentralCamera) -> TargetView | None:
+    if file is None:
+        return None
+    view = load_target(Path(file))
+    view.check_camera(camera, file)
+    return view
 
 
 def _true(camera: CentralCamera, error: CameraError) -> CentralCamera:

@@ -151,6 +151,7 @@ class Registries:
             {
                 "tensor": "visctrl.estimation.tensor:Tensor",
                 "planar-motion": "visctrl.estimation.planar_motion:PlanarMotionEstimator",
+                "epipoles": "visctrl.estimation.epipoles:Epipoles",
                 "transfer": "visctrl.estimation.pose_transfer:PoseTransfer",
                 "ekf": "visctrl.estimation.pose_ekf:PoseEkf",
             },
@@ -164,6 +165,8 @@ class Registries:
             {
                 "trifocal-smc": "visctrl.control.trifocal_smc:TrifocalSmc",
                 "face-target": "visctrl.control.face_target:FaceTarget",
+                "epipolar-smc": "visctrl.control.epipolar_smc:EpipolarSmc",
+                "epipolar-smooth": "visctrl.control.epipolar_smooth:EpipolarSmooth",
                 "pose-tracking": "visctrl.control.pose_tracking:PoseTracking",
             },
         )

@@ -27,7 +27,9 @@ class Scheme:
 
 
 SCHEMES = {
-    "epipolar": Scheme("epipolar control from three views", "epipoles", "epipolar-smc"),
+    "epipolar": Scheme(
+        "epipolar control from three views", "epipoles", "epipolar-smooth", approach=False
+    ),
     "trifocal": Scheme("1D trifocal tensor control", "tensor", "trifocal-smc"),
     "pose": Scheme(
         "pose estimation and Cartesian control", "transfer", "pose-tracking", approach=False

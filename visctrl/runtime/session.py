@@ -213,11 +213,12 @@ class _Session:
 
     def _take_target(self, backend: Backend, perception: Perception[Any]) -> None:
         self._tell("taking the target view")
-        frames = backend.teach(self._plan.scenario.target.frames)
+        view = self._plan.target
+        frames = backend.teach(self._plan.scenario.target.frames) if view is None else view.frames()
         if not frames:
             raise InputError(
-                f"backend '{self._plan.scenario.backend}' cannot visit the target: it needs a "
-                "target view from a file"
+                f"backend '{self._plan.scenario.backend}' cannot visit the target: take its view "
+                "there with `visctrl teach -o target.npz`, and run with --target target.npz"
             )
         _call(self._perceiver, lambda: perception.set_target(frames))
         for observer in self._observers:

@@ -1,0 +1,1 @@
+"""Pioneer robots with ARCOS or P2OS firmware: protocol, driver and emulator."""

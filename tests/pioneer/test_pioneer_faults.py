@@ -1,0 +1,274 @@
+"""Every fault of the robot and its line: it stands still, the error says why, the port is free."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from pioneer_bench import Bench, make_port
+from steady import STOPWATCH
+
+from hal.errors import BaseFaultError, DeviceError, InputError, LinkError
+from hal.pioneer.base import PioneerBase
+from hal.pioneer.commands import Command, Id
+from hal.pioneer.emulator.character import character
+from hal.pioneer.emulator.emulator import Emulator
+from hal.pioneer.emulator.faults import Channel, Fault, FaultSchedule, parse_fault
+from hal.pioneer.emulator.firmware import Firmware
+from hal.types import Velocity
+
+MakeBench = Callable[..., Any]
+FULL_SPEED = Velocity(0.4, math.radians(20.0))
+pytestmark = pytest.mark.realtime
+#: Limits: where the driver can act, and where only the robot's watchdog can (s).
+DRIVER_LIMIT_S, WATCHDOG_LIMIT_S = 0.6, 2.1
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fault, how soon the robot must stand, and what the driver must say."""
+
+    kind: str
+    value: float | None
+    limit: float
+    error: type[DeviceError]
+    says: str
+    port: str = "pty"
+
+
+CASES = (
+    Case("silent", None, DRIVER_LIMIT_S, LinkError, "not reported", "tcp"),
+    Case("rubbish", None, DRIVER_LIMIT_S, LinkError, "not reported"),
+    Case("lost", 1.0, WATCHDOG_LIMIT_S, LinkError, "not reported"),
+    Case("corrupt", 1.0, WATCHDOG_LIMIT_S, LinkError, "not reported"),
+    Case("delay", 5.0, WATCHDOG_LIMIT_S, LinkError, "not reported"),
+    Case("deaf", None, WATCHDOG_LIMIT_S, LinkError, "does not hear"),
+    Case("reset", None, DRIVER_LIMIT_S, LinkError, "restarted"),
+    Case("stall", None, DRIVER_LIMIT_S, BaseFaultError, "wheel is stalled"),
+    Case("bumper", None, DRIVER_LIMIT_S, BaseFaultError, "front bumper is pressed"),
+    Case("estop", None, DRIVER_LIMIT_S, BaseFaultError, "emergency stop is pressed"),
+    Case("low-battery", 10.5, DRIVER_LIMIT_S, BaseFaultError, "10.5 V"),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What happened: the driver's error, and seconds from the fault to standstill.
+
+    began : when (s, monotonic). trouble : what else went wrong.
+    """
+
+    began: float
+    error: BaseException | None = None
+    stood_after: float = math.inf
+    trouble: Exception | None = None
+
+
+def endure(case: Case) -> Outcome:
+    """Return what comes of a fault, whatever that is."""
+    began = time.monotonic()
+    try:
+        error, stood_after = suffer(case)
+    except Exception as trouble:
+        return Outcome(began, trouble=trouble)
+    return Outcome(began, error, stood_after)
+
+
+def suffer(case: Case) -> tuple[BaseException, float]:
+    """Drive at full speed into a fault, then let another driver use the robot."""
+    firmware = Firmware(character("p3dx-sh"))
+    with Emulator(firmware, make_port(case.port)) as emulator:
+        it = Bench(emulator)
+        base = it.base()
+        base.open()
+        it.get_up_to(base, FULL_SPEED)
+        emulator.faults.switch_on(case.kind, case.value)
+        began = emulator.now()
+        with base_closing(base), pytest.raises(DeviceError) as caught:
+            it.drive(base, FULL_SPEED, 5.0)
+        it.standstill_after(WATCHDOG_LIMIT_S)
+        stood = emulator.standing_since
+        emulator.faults.switch_off(case.kind)
+        time.sleep(0.05)
+        assert stood is not None
+        if case.kind != "delay":  # there the line must first deliver what it held back
+            it.next_run_works(legal=case.kind not in ("lost", "corrupt"))
+        return caught.value, stood - began
+
+
+@contextmanager
+def base_closing(base: PioneerBase) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        base.close()
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> dict[str, Outcome]:
+    """All faults, several robots at a time: they mostly wait."""
+    with ThreadPoolExecutor(max_workers=4) as pool:
+        kinds = [case.kind for case in CASES]
+        return dict(zip(kinds, pool.map(endure, CASES), strict=True))
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.kind)
+def test_fault_at_full_speed(outcomes: dict[str, Outcome], case: Case) -> None:
+    outcome = outcomes[case.kind]
+    STOPWATCH.look_back_to(outcome.began)
+    if outcome.trouble is not None:
+        raise outcome.trouble
+    assert isinstance(outcome.error, case.error)
+    assert case.says in str(outcome.error)
+    assert -0.05 < outcome.stood_after <= case.limit  # it was moving when the fault began
+
+
+def test_robot_left_in_its_session_by_a_broken_line(bench: MakeBench) -> None:
+    it = bench()
+    base = it.base()
+    base.open()
+    it.emulator.faults.switch_on("lost", 1.0)
+    base.close()
+    it.emulator.faults.switch_off("lost")
+    assert it.emulator.motors
+    it.next_run_works()
+
+
+def test_bearable_faults_are_borne(bench: MakeBench) -> None:
+    bearable = {"lost": 0.001, "corrupt": 0.001, "delay": 0.06}
+    it = bench()
+    base = it.base()
+    base.open()
+    for kind, value in bearable.items():
+        it.emulator.faults.switch_on(kind, value)
+    try:
+        it.drive(base, Velocity(0.3, 0.3), 2.0)
+        it.drive(base, Velocity(0.0, 0.0), 1.5)
+    finally:
+        base.close()
+    odometry, truth = base.odometry().pose, it.emulator.pose
+    assert math.dist(odometry[:2], truth[:2]) < 0.01
+
+
+def test_reports_pause_for_a_moment(bench: MakeBench) -> None:
+    """The robot is braked when it has been blind for long enough, and goes on afterwards."""
+    it = bench()
+    base = it.base()
+    base.open()
+    try:
+        it.drive(base, FULL_SPEED, 1.2)
+        it.emulator.faults.switch_on("silent")
+        while Command(Id.E_STOP) not in it.emulator.traffic.commands():
+            sent = base.command(FULL_SPEED)
+            time.sleep(0.02)
+        it.emulator.faults.switch_off("silent")
+        assert base.command(FULL_SPEED) == (0.0, 0.0)  # and it says so
+        assert sent == FULL_SPEED
+        assert it.drive(base, FULL_SPEED, 1.0) == FULL_SPEED
+        assert it.emulator.velocity.v > 0.1
+    finally:
+        base.close()
+
+
+def test_fault_holds_the_robot_until_it_is_over(bench: MakeBench) -> None:
+    it = bench()
+    base = it.base()
+    base.open()
+    try:
+        base.command(FULL_SPEED)
+        it.emulator.faults.switch_on("bumper")
+        time.sleep(0.25)
+        assert base.command(FULL_SPEED) == (0.0, 0.0)
+        it.emulator.faults.switch_off("bumper")
+        time.sleep(0.25)
+        assert base.command(FULL_SPEED) == FULL_SPEED
+    finally:
+        base.close()
+
+
+def test_motors_that_cannot_be_enabled(bench: MakeBench) -> None:
+    it = bench()
+    it.emulator.faults.switch_on("estop")
+    base = it.base()
+    with pytest.raises(BaseFaultError, match="emergency stop"):
+        base.open()
+    base.close()
+
+
+def test_robot_is_switched_off(bench: MakeBench) -> None:
+    it = bench("tcp")
+    base = it.base()
+    base.open()
+    base.command(FULL_SPEED)
+    it.emulator.close()
+    try:
+        with pytest.raises(LinkError, match="hung up"):
+            it.drive(base, FULL_SPEED, 1.0)
+        assert "hung up" in base.status().faults[0]
+    finally:
+        base.close()
+
+
+# --- the schedule ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("silent", Fault("silent")),
+        ("silent@3", Fault("silent", None, 3.0)),
+        ("lost=0.5@1.5+2", Fault("lost", 0.5, 1.5, 2.0)),
+        ("low-battery@1", Fault("low-battery", 10.5, 1.0)),
+    ],
+)
+def test_fault_is_read(text: str, fault: Fault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("stal", "did you mean 'stall'"),
+        ("stall=3", "takes no value"),
+        ("stall@x", "expected KIND"),
+        ("lost=1.2.3", "cannot be read"),
+    ],
+)
+def test_fault_is_not_read(text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        parse_fault(text)
+
+
+def test_schedule_counts_from_the_first_motion() -> None:
+    schedule = FaultSchedule([Fault("silent", None, 2.0, 1.0), Fault("lost", 0.1)])
+    for since, active in ((None, False), (0.0, False), (2.0, True), (2.9, True), (3.0, False)):
+        schedule.update(since)
+        assert ("silent" in schedule) is active
+        assert schedule.value("lost") == 0.1
+
+
+def test_channel_delays_and_loses() -> None:
+    schedule = FaultSchedule()
+    channel = Channel(schedule, seed=1)
+    channel.put(0.0, b"now")
+    assert channel.take(0.0) == b"now"
+    schedule.switch_on("delay", 0.5)
+    channel.put(1.0, b"later")
+    assert channel.take(1.4) == b""
+    assert channel.take(1.5) == b"later"
+    schedule.switch_off("delay")
+    schedule.switch_on("lost", 0.25)
+    channel.put(2.0, bytes(10_000))
+    assert 7_000 < len(channel.take(2.0)) < 8_000
+    schedule.switch_off("lost")
+    schedule.switch_on("corrupt", 0.25)
+    channel.put(3.0, bytes(10_000))
+    damaged = channel.take(3.0)
+    assert len(damaged) == 10_000
+    assert 2_000 < sum(byte != 0 for byte in damaged) < 3_000

@@ -1,0 +1,281 @@
+"""``visctrl doctor``: what works here, and what to do about what does not."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from hal.clock import WallClock
+from robots import load_robot
+from robots.errors import VisctrlError
+from visctrl.config import Override, load_scenario
+from visctrl.runtime.interrupts import Interrupts
+from visctrl.runtime.plan import chosen_camera, make_plan
+from visctrl.runtime.registry import REGISTRIES
+
+_PACKAGES = (
+    "numpy", "scipy", "opencv-python-headless", "pybullet", "filterpy", "pyyaml", "pyserial",
+    "pydantic", "typer", "rich", "matplotlib",
+)  # fmt: skip
+#: Newest Python that PyBullet's wheels are made for.
+_PYBULLET_WHEELS = (3, 11)
+_FAILED = 3
+_RATE_HZ = 10.0
+_TIMER_S, _TIMER_PERIOD_S = 1.0, 0.01
+_LATE_MS = 10.0
+_FILM_S = 2.0
+_FRAMES, _WARM_UP = 18, 3
+
+
+class Level(StrEnum):
+    """How a check came out."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILURE = "failure"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A line of the report.
+
+    what : the thing examined. found : the result. remedy : what to do, empty if nothing.
+    """
+
+    level: Level
+    what: str
+    found: str
+    remedy: str = ""
+
+
+def examine(port: str | None, source: str | None, camera: str, *, quick: bool) -> int:
+    """Check everything, print a line each, return the exit code (3 if something fails)."""
+    console = Console()
+    checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
+        ("packages", packages),
+        ("timer", timer),
+        ("serial ports", serial_ports),
+    ]
+    if port is not None:
+        checks.append((f"robot {port}", lambda: robot(port)))
+    if source is not None:
+        checks.append((f"camera {source}", lambda: camera_stream(source, camera)))
+    if not quick:
+        checks += [("renderers", renderers), ("tick budget", lambda: tick_budget(camera))]
+    worst = Level.OK
+    with Interrupts():
+        for what, check in checks:
+            for finding in _guarded(what, check):
+                _print(console, finding)
+                worst = max(worst, finding.level, key=list(Level).index)
+    return _FAILED if worst is Level.FAILURE else 0
+
+
+def packages() -> Iterator[Finding]:
+    """Check Python and the packages that this program needs."""
+    known = sys.version_info[:2] == _PYBULLET_WHEELS
+    yield Finding(
+        Level.OK if known else Level.WARNING,
+        "python",
+        platform.python_version(),
+        "" if known else "PyBullet has ready-made wheels for 3.11 only and must be compiled here",
+    )
+    found, missing = [], []
+    for package in _PACKAGES:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            missing.append(package)
+    yield Finding(Level.OK, "packages", ", ".join(found))
+    if missing:
+        names = " ".join(missing)
+        yield Finding(Level.FAILURE, "packages", f"missing: {names}", f"pip install {names}")
+
+
+def timer() -> Iterator[Finding]:
+    """Check how late this process wakes up."""
+    clock = WallClock()
+    lateness = []
+    due = clock.now()
+    while due < _TIMER_S:
+        due += _TIMER_PERIOD_S
+        clock.sleep_until(due)
+        lateness.append((clock.now() - due) * 1e3)
+    worst = sorted(lateness)[int(0.99 * len(lateness))]
+    load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    good = worst <= _LATE_MS
+    yield Finding(
+        Level.OK if good else Level.WARNING,
+        "timer",
+        f"wakes up {worst:.1f} ms late (p99), {load}",
+        "" if good else "close other programs: ticks will be late",
+    )
+
+
+def serial_ports() -> Iterator[Finding]:
+    """List the serial ports, and whether this user may open them."""
+    list_ports = importlib.import_module("serial.tools.list_ports")
+    ports = sorted(list_ports.comports(), key=lambda port: str(port.device))
+    if not ports:
+        yield Finding(Level.OK, "serial ports", "none (a pty or socket needs none)")
+    for port in ports:
+        allowed = os.access(port.device, os.R_OK | os.W_OK) or os.name == "nt"
+        yield Finding(
+            Level.OK if allowed else Level.WARNING,
+            "serial port",
+            f"{port.device}: {port.description}",
+            "" if allowed else "not permitted: join the group that owns it (often 'dialout')",
+        )
+
+
+def robot(port: str) -> Iterator[Finding]:
+    """Ask the robot who it is and how it is set; it does not move."""
+    from hal.pioneer.base import PioneerBase
+
+    base = PioneerBase(port, "p3dx", load_robot("p3dx").operating, WallClock())
+    status = base.inspect()
+    identity, config = base.identity, base.config
+    if identity is not None:
+        name = f"{identity.robot_type} {identity.subclass} '{identity.name}'"
+        yield Finding(Level.OK, f"robot {port}", name)
+    if config is None:
+        yield Finding(
+            Level.WARNING, "firmware", "does not tell its parameters", "its limits are unknown"
+        )
+    else:
+        yield Finding(
+            Level.OK,
+            "firmware",
+            f"version {config.firmware}, report every {config.report_cycle} ms, watchdog "
+            f"{config.watchdog} ms, at most {config.speed_max} mm/s and {config.turn_max} deg/s",
+        )
+        if not config.watchdog:
+            yield Finding(
+                Level.FAILURE, "watchdog", "off", "set the parameter Watchdog to 2000 ms: it is "
+                "what stops the robot when this computer fails",
+            )  # fmt: skip
+    low = any("battery" in fault for fault in status.faults)
+    if status.battery_v is not None:
+        yield Finding(
+            Level.FAILURE if low else Level.OK,
+            "battery",
+            f"{status.battery_v:.1f} V",
+            "charge it" if low else "",
+        )
+    for fault in status.faults:
+        if "battery" not in fault:
+            yield Finding(Level.FAILURE, "robot", fault, "release it before driving")
+
+
+def camera_stream(source: str, name: str) -> Iterator[Finding]:
+    """Measure the camera's rate and the age of its pictures."""
+    from hal.capture import CaptureCamera, CaptureOptions
+    from visctrl.config import CameraChoice
+
+    clock = WallClock()
+    model = chosen_camera(CameraChoice(name=name))
+    camera = CaptureCamera(model, CaptureOptions(source=source, max_age_s=_FILM_S), clock)
+    try:
+        camera.open()
+        first = camera.read()
+        begin, ages = clock.now(), []
+        while clock.now() < begin + _FILM_S:
+            frame = camera.read()
+            ages.append(clock.now() - frame.stamp)
+            clock.sleep_until(clock.now() + 0.01)
+    finally:
+        camera.close()
+    rate = (frame.sequence - first.sequence) / (frame.stamp - first.stamp or float("inf"))
+    good = rate >= 0.9 * _RATE_HZ
+    yield Finding(
+        Level.OK if good else Level.WARNING,
+        f"camera {source}",
+        f"{model.width}x{model.height}, {rate:.1f} pictures/s, the newest at most "
+        f"{max(ages):.2f} s old",
+        "" if good else "more light, a shorter exposure or a smaller picture makes it faster",
+    )
+
+
+def renderers() -> Iterator[Finding]:
+    """Check the simulator's renderers."""
+    from sim.engine import egl_works
+
+    works = egl_works()
+    found = "works" if works else "does not work here (software rendering does)"
+    yield Finding(Level.OK, "renderer egl", found)
+
+
+def tick_budget(camera: str) -> Iterator[Finding]:
+    """Measure rendering, perception and estimation on this machine, in a simulated run."""
+    overrides = [
+        Override(("backend",), "sim", "doctor"),
+        Override(("camera", "name"), camera, "doctor"),
+    ]
+    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+    drawn, worked = [], []
+    with plan.open_backend() as backend:
+        context = plan.context(backend.clock.lockstep)
+        perception = plan.perception.build(context)
+        estimator = plan.main.estimator.build(context)
+        try:
+            perception.set_target(backend.teach(1))
+            perception.set_initial(backend.camera.read())
+            estimator.reset()
+            for _ in range(_FRAMES):
+                backend.clock.sleep_until(backend.clock.now() + plan.period_s)
+                begin = time.perf_counter()
+                frame = backend.camera.read()
+                seen = time.perf_counter()
+                sent = backend.base.command(backend.base.odometry().velocity)
+                estimator.update(perception.update(frame), sent, plan.period_s)
+                drawn.append((seen - begin) * 1e3)
+                worked.append((time.perf_counter() - seen) * 1e3)
+        finally:
+            estimator.close()
+            perception.close()
+    drawn, worked = drawn[_WARM_UP:], worked[_WARM_UP:]
+    size = f"{plan.camera.width}x{plan.camera.height}"
+    yield Finding(Level.OK, "renderer tiny", f"{_median(drawn):.0f} ms a picture of {size}")
+    share = max(worked) / (plan.period_s * 1e3)
+    level = Level.OK if share < 0.5 else Level.WARNING if share < 1.0 else Level.FAILURE
+    yield Finding(
+        level,
+        "tick budget",
+        f"perception and estimation take {_median(worked):.0f} ms, at most {max(worked):.0f} ms, "
+        f"of {plan.period_s * 1e3:.0f} ms",
+        "" if level is Level.OK else "use a smaller picture: --set camera.width=400",
+    )
+
+
+def _guarded(what: str, check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    """Run a check; an error meant for the user is a finding like others."""
+    try:
+        yield from check()
+    except VisctrlError as error:
+        yield Finding(Level.FAILURE, what, str(error))
+
+
+def _median(values: list[float]) -> float:
+    return sorted(values)[len(values) // 2]
+
+
+def _print(console: Console, finding: Finding) -> None:
+    colour = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILURE: "red"}[finding.level]
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(width=8)
+    table.add_column(width=14, no_wrap=False)
+    table.add_column(overflow="fold")
+    text = escape(finding.found) + (f" -> {escape(finding.remedy)}" if finding.remedy else "")
+    table.add_row(f"[{colour}]{finding.level}[/{colour}]", escape(finding.what), text)
+    console.print(table)

@@ -1,0 +1,213 @@
+"""Estimator plugin ``epipoles``: the epipoles of all pairs of views, every tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hal.types import Velocity
+from robots.documents import Document
+from visctrl.estimation.epipolar_location import LocationFilter
+from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
+from visctrl.estimation.epipole_pairs import PairFollower, Solver, solver_for
+from visctrl.plugins import Context, Estimator, Health, Signal, Views
+
+Array = NDArray[np.float64]
+
+
+#: Standard deviation of the first guess of the inverse distance (1/m): it hardly counts.
+_DISTANCE_SD = 0.5
+
+
+class EpipolesOptions(Document):
+    """Options of the estimator ``epipoles``.
+
+    solver : ``planar-free`` leaves the focal length and the image's centre column open
+        (perspective cameras), ``planar`` uses the calibration (any camera), ``auto`` takes the
+        first for perspective cameras and the second for all others.
+    hypotheses : random samples per pair and tick.
+    sd_limit_rad : epipoles less certain than this do not correct the location.
+    distance_m : rough distance to the target, before motion shows it.
+    slip : standard deviation of the executed motion as a fraction of the commanded one.
+    aligned_after_s : when the "aligned robot" view is stored, in seconds since the reset; None
+        stores it as soon as both epipoles towards the target stay within ``aligned_deg``.
+    reference_deg : the reference view moves with the robot until it sees the target this much
+        off the target's axis, so that the depth can be told.
+    """
+
+    solver: Solver = "auto"
+    hypotheses: Annotated[int, Field(ge=8, le=2000)] = 64
+    sd_limit_rad: Annotated[float, Field(gt=0)] = 0.1
+    distance_m: Annotated[float, Field(gt=0)] = 10.0
+    slip: Annotated[float, Field(ge=0)] = 0.05
+    aligned_after_s: Annotated[float, Field(ge=0)] | None = None
+    aligned_deg: Annotated[float, Field(gt=0)] = 2.0
+    reference_deg: Annotated[float, Field(ge=0)] = 10.0
+
+
+@dataclass(frozen=True)
+class _StoredView:
+    """A past current view: the rays (N, 3) of its features by their names."""
+
+    ids: NDArray[np.int64]
+    rays: Array
+
+    def common(self, views: Views) -> tuple[Array, Array]:
+        """Return the rays of the features that both views hold: of this and of the current."""
+        _, here, there = np.intersect1d(
+            self.ids, views.ids, assume_unique=True, return_indices=True
+        )
+        return self.rays[here], views.current[there]
+
+
+class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
+    """Epipoles of the pairs current–target, initial–current, initial–target, aligned–current."""
+
+    Options = EpipolesOptions
+    signals = (
+        Signal("e23", "1"),
+        Signal("e32", "1"),
+        Signal("e12", "1"),
+        Signal("e21", "1"),
+        Signal("e13", "1"),
+        Signal("e31", "1"),
+        Signal("e22ar", "1"),
+        Signal("e2ar2", "1"),
+        Signal("e23_bearing_sd", "rad"),
+        Signal("e32_bearing_sd", "rad"),
+        Signal("e12_bearing_sd", "rad"),
+        Signal("inverse_distance", "1/m"),
+    )
+
+    def __init__(self, options: EpipolesOptions, context: Context) -> None:
+        super().__init__(options, context)
+        self._solver = solver_for(options.solver, context.camera)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: a new initial view has been taken here."""
+        self._ticks = 0
+        self._time = 0.0
+        self._within = 0
+        self._reference: _StoredView | None = None
+        self._aligned: _StoredView | None = None
+        self._fixed: EpipolePair | None = None
+        self._filter: LocationFilter | None = None
+        self._followers: dict[str, PairFollower] = {}
+        self._last = EpipoleEstimate(Health.LOST, "no view yet")
+
+    def update(self, views: Views, sent: Velocity, dt: float) -> EpipoleEstimate:
+        """Return the epipoles of this tick (see `Estimator.update`)."""
+        self._ticks += 1
+        if self._ticks > 1:
+            self._time += dt
+            if self._filter is not None:
+                self._filter.predict(sent, dt)
+        if views.health is Health.LOST:
+            self._last = EpipoleEstimate(Health.LOST, views.reason)
+            return self._last
+        sigma, turn = views.sigma, sent.omega * dt
+        target = self._pair("target", (views.current, views.target), sigma, (turn, 0.0))
+        initial = self._pair("initial", self._reference_rays(views), sigma, (0.0, turn))
+        if self._fixed is None or self._fixed.health is Health.LOST:
+            self._fixed = self._pair("fixed", (views.initial, views.target), sigma, (0.0, 0.0))
+        self._locate(views, target, initial)
+        self._store(views, target)
+        aligned = None
+        if self._aligned is not None:
+            aligned = self._pair("aligned", self._aligned.common(views), sigma, (0.0, turn))
+        self._last = EpipoleEstimate(
+            target.health,
+            target.reason,
+            target,
+            initial,
+            self._fixed,
+            aligned,
+            None if self._filter is None else self._filter.location,
+        )
+        return self._last
+
+    def values(self) -> Mapping[str, float]:
+        """Return the epipoles for a unit focal length, and their standard deviations."""
+        found: dict[str, float] = {}
+        for pair, a, b in (
+            (self._last.current_target, "e23", "e32"),
+            (self._last.initial_current, "e12", "e21"),
+            (self._last.initial_target, "e13", "e31"),
+            (self._last.aligned_current, "e2ar2", "e22ar"),
+        ):
+            if pair is not None and pair.health is not Health.LOST:
+                found[a], found[b] = pair.epipole_a, pair.epipole_b
+                found[f"{a}_bearing_sd"], found[f"{b}_bearing_sd"] = pair.sd_a, pair.sd_b
+        if self._last.location is not None:
+            found["inverse_distance"] = self._last.location.inverse_distance
+        names = {signal.name for signal in self.signals}
+        return {name: value for name, value in found.items() if name in names}
+
+    # --- pairs ------------------------------------------------------------------------------
+
+    def _pair(
+        self, name: str, rays: tuple[Array, Array], sigma: float, turns: tuple[float, float]
+    ) -> EpipolePair:
+        """Return the epipoles of a pair that is followed under ``name``.
+
+        ``turns`` are how far its views were told to turn since the last tick (rad).
+        """
+        follower = self._followers.get(name)
+        if follower is None:
+            follower = PairFollower(self._solver, self.options.hypotheses)
+            self._followers[name] = follower
+        seed = self.context.seed + self._ticks
+        return EpipolePair.of(follower.update(*rays, sigma, turns, seed))
+
+    # --- stored views -----------------------------------------------------------------------
+
+    def _reference_rays(self, views: Views) -> tuple[Array, Array]:
+        if self._reference is None:
+            return views.initial, views.current
+        return self._reference.common(views)
+
+    def _locate(self, views: Views, target: EpipolePair, initial: EpipolePair) -> None:
+        if self._filter is None:
+            if self._fixed is not None and self._fixed.usable(self.options.sd_limit_rad):
+                guess = 1.0 / self.options.distance_m
+                self._filter = self._filter_from(self._fixed, guess, _DISTANCE_SD)
+            return
+        self._filter.update(target, initial, self.options.sd_limit_rad)
+        self._move_reference(views, target, self._filter)
+
+    def _filter_from(self, fixed: EpipolePair, guess: float, sd: float) -> LocationFilter:
+        ahead, slip = self.context.camera_forward_m, self.options.slip
+        return LocationFilter(fixed, guess, sd, ahead, slip)
+
+    def _move_reference(self, views: Views, target: EpipolePair, old: LocationFilter) -> None:
+        """Take the current view as the reference if the old one lies on the target's axis."""
+        limit = np.radians(self.options.reference_deg)
+        if abs(np.sin(old.psi1)) >= np.sin(limit) or not target.usable(self.options.sd_limit_rad):
+            return
+        at = old.location
+        off, rho = float(np.arctan2(at.x, -at.y)), float(np.hypot(at.x, at.y))
+        if limit < abs(off) < np.pi / 2.0 and rho > 0.0:
+            self._reference = _StoredView(views.ids.copy(), views.current.copy())
+            self._followers.pop("initial", None)
+            self._fixed = target
+            sd = float(np.sqrt(at.covariance[3, 3]))
+            self._filter = self._filter_from(target, at.inverse_distance / rho, sd / rho)
+
+    def _store(self, views: Views, target: EpipolePair) -> None:
+        """Keep the current view as the aligned one when it is time."""
+        if self._aligned is not None:
+            return
+        limit = np.radians(self.options.aligned_deg)
+        off = max(abs(np.arctan(target.epipole_a)), abs(np.arctan(target.epipole_b)))
+        ok = target.usable(limit) and off < limit
+        self._within = self._within + 1 if ok else 0
+        after = self.options.aligned_after_s
+        due = self._within * self.context.period_s >= 1.0 if after is None else self._time >= after
+        if due:
+            self._aligned = _StoredView(views.ids.copy(), views.current.copy())
