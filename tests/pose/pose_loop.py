@@ -58,8 +58,12 @@ def drive(
     control: dict[str, Any] | None = None,
     blind: tuple[float, float] = (0.0, 0.0),
     limits: Limits | None = None,
+    longest: float = 2.0,
 ) -> Run:
-    """Drive to the target; without ``ekf`` the transfer filter estimates the pose."""
+    """Drive to the target; without ``ekf`` the transfer filter estimates the pose.
+
+    ``longest`` is how long it may take, in ``tau``.
+    """
     context = replace(world.context(period), limits=limits)
     noise = {"v_m_s": world.noise[0], "omega_deg_s": math.degrees(world.noise[1])}
     estimator: PoseEkf | PoseTransfer
@@ -72,7 +76,7 @@ def drive(
         PoseTrackingOptions.model_validate({"tau_s": tau, **(control or {})}), context
     )
     run, sent = Run(world), STANDSTILL
-    for tick in range(int(2.0 * tau / period)):
+    for tick in range(int(longest * tau / period)):
         t = tick * period
         estimate = estimator.update(
             world.views(blind=blind[0] <= t < blind[1]), sent, period if tick else 0.0

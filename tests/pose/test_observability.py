@@ -26,7 +26,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 OFFSET = 0.08
 INITIAL = np.array([-6.0, -16.0, -0.35])
 POSE = np.array([-3.0, -9.0, -0.5])
-MEASURED = [name for name in ELEMENTS if name != "T121"]
+TELLING = [name for name in ELEMENTS if name not in ("T121", "T111")]
 
 
 def both_epipoles(pose: Array) -> tuple[Array, Array]:
@@ -131,12 +131,28 @@ def test_a_metric_element_tells_two_directions_however_long_it_is_watched(
     assert rank(matrix, length=9.0) <= 2
 
 
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", TELLING)
 def test_an_element_over_t121_tells_all_three(name: str) -> None:
     output = element(name, over_t121=True)
     steps = np.array([[0.2, 0.3], [0.2, -0.2]])
     assert rank(discrete_matrix(output, POSE, steps, 0.5, OFFSET), length=9.0) == 3
     assert rank(lie_matrix(output, POSE, OFFSET), length=9.0) == 3
+
+
+def test_t111_over_t121_is_the_bearing_of_a_fixed_point() -> None:
+    """The element that the source takes: going round that point changes nothing, for ever."""
+    x1, y1, phi1 = INITIAL
+    # Where the x axes of the initial and the target view meet.
+    right, forth = x1 - y1 / np.tan(phi1) - POSE[0], -POSE[1]
+    bearing = np.arctan2(right, forth) + POSE[2]
+    output = element("T111", over_t121=True)
+    assert output(POSE)[0][0] == pytest.approx(-1 / np.tan(bearing))
+    velocities = np.random.default_rng(0).uniform([0.1, -0.5], [0.4, 0.5], (8, 2))
+    matrix = discrete_matrix(output, POSE, velocities, 0.5, OFFSET)
+    lost = unobservable(matrix)
+    about = np.array([forth, -right, 1.0])
+    assert len(lost) == 1
+    assert abs(lost[0] @ about) == pytest.approx(np.linalg.norm(about), rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ELEMENTS)

@@ -175,7 +175,8 @@ class EpipoleModel(MeasurementModel):
         C1, taken for exact.
     both : the epipoles in both views of the pair, instead of the fixed view's alone.
     switch : distance to the target (m) from which on the initial view takes its place, as the
-        baseline to the target vanishes there.
+        baseline to the target vanishes there. It does so earlier where the target's epipoles
+        can no longer be told.
     seed : of the search for outliers.
     """
 
@@ -184,15 +185,23 @@ class EpipoleModel(MeasurementModel):
         self._rows = slice(0, 2 if both else 1)
         self._switch = switch
         self._seed = seed
+        self._near = False
         self._reference = np.zeros(3)
         self._last: tuple[float, float] | None = None
 
     def measure(self, views: Views, pose: Array) -> Measured | str:
         """Return the epipoles' bearings from the planar essential matrix."""
-        near = float(np.hypot(pose[0], pose[1])) < self._switch
-        if near and not self._reference.any():
-            self._reference, self._last = self._initial, None
-        fixed = views.initial if self._reference.any() else views.target
+        self._near = self._near or float(np.hypot(pose[0], pose[1])) < self._switch
+        if not self._near:
+            found = self._measured(views, views.target, np.zeros(3))
+            if not isinstance(found, str):
+                return found
+        return self._measured(views, views.initial, self._initial)
+
+    def _measured(self, views: Views, fixed: Array, reference: Array) -> Measured | str:
+        """Measure the pair of a fixed view, rays (N, 3) from ``reference``, and the current one."""
+        if not np.array_equal(reference, self._reference):
+            self._reference, self._last = reference, None
         motion = None
         if self._last is not None:
             motion = refine_planar_motion(fixed, views.current, *self._last, views.sigma)

@@ -16,7 +16,9 @@ never does: its outputs along any motion are combinations a cos ε + b sin ε of
 the pose, so that a and b are all it tells — in discrete time, too, where the source concludes
 otherwise (4.13): the third column there depends on the other two. The stripped matrix is of
 full rank all the same. Elements over T121, which the filters use, are ratios of two such
-combinations and observe all three directions.
+combinations and observe all three directions, but for the one that the source takes: T111/T121
+is −cot of the bearing of one fixed point, where the x axes of the initial and the target view
+meet, and a robot that goes round that point, facing it as before, sees nothing change.
 """
 
 from __future__ import annotations
