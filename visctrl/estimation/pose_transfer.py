@@ -70,6 +70,9 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     signals: ClassVar[tuple[Signal, ...]] = (
         Signal("nis", ""),
         Signal("nis_dof", ""),
+        Signal("x", "m"),
+        Signal("y", "m"),
+        Signal("phi", "rad"),
         Signal("x_sd", "m"),
         Signal("y_sd", "m"),
         Signal("phi_sd", "rad"),
@@ -112,11 +115,10 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         return self._estimate(self._filter)
 
     def values(self) -> Mapping[str, float]:
-        """Return the filter's own account of its accuracy."""
+        """Return the pose and the filter's own account of its accuracy."""
         if self._filter is None:
             return {}
-        x_sd, y_sd, phi_sd = np.sqrt(np.diag(self._covariance(self._filter))).tolist()
-        found = {"x_sd": x_sd, "y_sd": y_sd, "phi_sd": phi_sd}
+        found = self._estimate(self._filter).values()
         if self._innovation.dof:
             found |= {"nis": self._innovation.nis, "nis_dof": float(self._innovation.dof)}
         return found | {"features_used": float(self._innovation.dof)}
