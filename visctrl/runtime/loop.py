@@ -29,6 +29,7 @@ from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
 from visctrl.runtime.scheduler import Tick, Ticker
+from visctrl.runtime.stop import StopRequest
 from visctrl.runtime.watchdog import Watchdog
 
 T = TypeVar("T")
@@ -93,6 +94,8 @@ class Loop:
         Shielded while a command is on its way.
     observers : sequence of Observer
         Told about every tick.
+    stop : StopRequest
+        Ends the run when it is made.
     """
 
     def __init__(
@@ -104,8 +107,10 @@ class Loop:
         period: float,
         interrupts: Interrupts,
         observers: Sequence[Observer],
+        stop: StopRequest,
     ) -> None:
         self._backend = backend
+        self._stop = stop
         self._perception = perception
         self._perception_name = perception_name
         self._guard = guard
@@ -131,11 +136,13 @@ class Loop:
         ------
         DeviceError, PluginError, LostError, UnsafeCommandError
             The run cannot go on.
+        StopRequested
+            Somebody wants it to end.
         """
         if self._backend.clock.lockstep:
             return self._run(stage)
         self._watchdog = Watchdog(self._backend.base.stop, self._guard.max_command_age)
-        with self._watchdog:
+        with self._watchdog, self._stop.acting_at_once(self._watchdog.act):
             return self._run(stage)
 
     def _run(self, stage: Stage) -> bool:
@@ -164,6 +171,7 @@ class Loop:
                 base.stop()
                 sent = STANDSTILL
             else:
+                self._stop.check()
                 sent = base.command(velocity)
             self._watchdog.feed(moving=sent != STANDSTILL)
         self._guard.was_sent(sent, self._backend.clock.now())
@@ -171,6 +179,7 @@ class Loop:
 
     def _tick(self, turn: _Turn, tick: Tick) -> None:
         """Do one tick of a stage."""
+        self._stop.check()
         blame = self._count(tick, turn)
         turn.begin(self._timer())
         truth = self._backend.truth()
@@ -259,6 +268,7 @@ class Loop:
             turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
             turn.decision = Decision(STANDSTILL, turn.decision.phase)
             return
+        stage.controller.sense(self._backend.base.ranges())
         turn.decision = self._call(
             f"controller '{stage.controller_name}'",
             lambda: stage.controller.update(estimate, turn.control_time),

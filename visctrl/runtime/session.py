@@ -23,6 +23,7 @@ from visctrl.runtime.plan import Chosen, Plan, StagePlan
 from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, RunDirectory
 from visctrl.runtime.records import Observer
 from visctrl.runtime.safety import Guard, LostError
+from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
 from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, Meter, judge, summarise
 
@@ -54,6 +55,7 @@ def run_session(
     *,
     video: bool = False,
     observers: Sequence[Observer] = (),
+    stop: StopRequest | None = None,
 ) -> Outcome:
     """Run a plan to its end, whatever that is.
 
@@ -67,6 +69,8 @@ def run_session(
         Also write an MP4 of the camera's images.
     observers : sequence of Observer
         Told about everything that happens.
+    stop : StopRequest or None
+        Ends the run when it is made, from any thread.
 
     Raises
     ------
@@ -74,14 +78,20 @@ def run_session(
         Something cannot be used, found before the robot was told anything. Nothing is left
         behind. Every other failure is an `Outcome`.
     """
-    return _Session(plan, out, video, observers).run()
+    return _Session(plan, out, video, observers, stop or StopRequest()).run()
 
 
 class _Session:
     def __init__(
-        self, plan: Plan, out: Path | None, video: bool, observers: Sequence[Observer]
+        self,
+        plan: Plan,
+        out: Path | None,
+        video: bool,
+        observers: Sequence[Observer],
+        stop: StopRequest,
     ) -> None:
         self._plan = plan
+        self._stop_request = stop
         self._directory = RunDirectory(out) if out is not None else None
         self._meter = Meter()
         self._video = video
@@ -160,6 +170,7 @@ class _Session:
             plan.period_s,
             self._interrupts,
             self._observers,
+            self._stop_request,
         )
         self._tally = loop.tally
         self._began = (backend.clock.now(), time.perf_counter())
@@ -322,6 +333,8 @@ def _ended_by(error: BaseException) -> End:
     """Return what an exception makes of a run."""
     if isinstance(error, Interrupted):
         return End(STOPPED, str(error), error.exit_code)
+    if isinstance(error, StopRequested):
+        return End(STOPPED, str(error), _KEYBOARD_INTERRUPT)
     if isinstance(error, KeyboardInterrupt):
         return End(STOPPED, "stopped by Ctrl-C", _KEYBOARD_INTERRUPT)
     if isinstance(error, LostError):
