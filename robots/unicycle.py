@@ -7,6 +7,8 @@ centre; the pose is the camera's. Everything broadcasts over leading axes.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,6 +20,29 @@ def wrap_angle(angle: ArrayLike) -> Array:
     angle = np.asarray(angle, dtype=np.float64)
     wrapped = -np.remainder(-angle + np.pi, 2.0 * np.pi) + np.pi
     return np.asarray(wrapped, dtype=np.float64)
+
+
+def wrapped(angle: float) -> float:
+    """Return one angle (rad) wrapped to (−π, π]: `wrap_angle` for a plain float."""
+    return math.pi - (math.pi - angle) % math.tau
+
+
+def along_arc(
+    pose: tuple[float, float, float], velocity: tuple[float, float], dt: float
+) -> tuple[float, float, float]:
+    """Return one pose (x, y, φ) moved along the exact arc of a constant velocity (v, ω).
+
+    It is `step_exact` for a single pose without offset, in plain floats: a hundredth of the
+    cost of an array operation, in the innermost loop of every study.
+    """
+    x, y, phi = pose
+    v, omega = velocity
+    half = omega * dt / 2.0
+    chord = v * dt
+    if abs(half) > 1e-9:
+        chord *= math.sin(half) / half
+    middle = phi + half
+    return x - chord * math.sin(middle), y + chord * math.cos(middle), phi + 2.0 * half
 
 
 def step_exact(
