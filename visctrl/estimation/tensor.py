@@ -17,8 +17,9 @@ from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOp
 from visctrl.geometry.trifocal import ELEMENTS, normalised, normalised_covariance
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
+_ELEMENT_SDS = tuple(f"{name}_sd" for name in ELEMENTS)
 _SIGNALS = (
-    *(Signal(name, "1") for name in ELEMENTS),
+    *(Signal(name, "1") for name in (*ELEMENTS, *_ELEMENT_SDS)),
     Signal("xi1", "1"),
     Signal("xi2", "1"),
     Signal("xi1_sd", "1"),
@@ -84,8 +85,10 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
             return {}
         last = self._last
         xi, spread = last.outputs, last.outputs_covariance
+        sds = np.sqrt(np.maximum(last.covariance.diagonal(), 0.0)).tolist()
         return {
             **dict(zip(ELEMENTS, last.elements.tolist(), strict=True)),
+            **dict(zip(_ELEMENT_SDS, sds, strict=True)),
             "xi1": xi[0],
             "xi2": xi[1],
             "xi1_sd": math.sqrt(max(spread.a, 0.0)),
