@@ -15,7 +15,7 @@ from visctrl.runtime.summary import versions
 T = TypeVar("T")
 R = TypeVar("R")
 
-_CONNECT_S = 10.0
+CONNECT_S = 10.0
 #: Items under way at a time: enough for any cluster, and for workers that join later.
 _WINDOW = 2000
 
@@ -53,11 +53,11 @@ class ClusterWorkers:
         self._address = address
         try:
             connect: Any = distributed.Client
-            self._client = connect(address, timeout=_CONNECT_S, set_as_default=False)
+            self._client = connect(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError, TypeError, ImportError) as error:
             raise InputError(f"--cluster {address}: no Dask scheduler answers: {error}") from None
         try:
-            self._client.wait_for_workers(1, timeout=_CONNECT_S)
+            self._client.wait_for_workers(1, timeout=CONNECT_S)
             _compare(address, self._client.run(_worker_versions, on_error="return"))
         except TimeoutError:
             self.close()
@@ -71,7 +71,7 @@ class ClusterWorkers:
 
     def close(self) -> None:
         """Let go of the scheduler; what is queued for this client is dropped."""
-        self._client.close(timeout=_CONNECT_S)
+        self._client.close(timeout=CONNECT_S)
 
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
         """Yield every item with its result (see `Workers`).

@@ -1,10 +1,9 @@
-"""95 % confidence intervals: Wilson's for shares, Student's t for means, bootstrap for the rest."""
+"""95 % confidence intervals of shares, means, medians and standard deviations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,33 +53,40 @@ def mean(sample: Sample) -> Interval:
     return Interval(centre, centre - half, centre + half)
 
 
-def bootstrapped(
-    statistic: Callable[..., Any], sample: Sample, rng: np.random.Generator
-) -> Interval:
-    """Return a statistic of a sample (N,) with its percentile bootstrap interval.
+def median(sample: Sample) -> Interval:
+    """Return the median of a sample (N,), its interval between order statistics.
+
+    The r-th value from either end bounds the true median of any distribution with a probability
+    of at least 1 − 2 P(B < r), B binomial (N, ½). There is no such r below N = 6.
+    """
+    from scipy.special import bdtr
+
+    n = len(sample)
+    tail = (1.0 - CONFIDENCE) / 2.0
+    r = int(np.count_nonzero(bdtr(np.arange(float(n)), n, 0.5) <= tail))
+    ordered = np.sort(sample)
+    value = float(np.median(ordered))
+    if r == 0:
+        return Interval(value, None, None)
+    return Interval(value, float(ordered[r - 1]), float(ordered[n - r]))
+
+
+def deviation(sample: Sample, rng: np.random.Generator) -> Interval:
+    """Return the standard deviation of a sample (N ≥ 2,) with its percentile bootstrap interval.
 
     Parameters
     ----------
-    statistic : callable
-        As `numpy.median`: takes an array and ``axis``.
     sample : array (N,)
     rng : numpy Generator
         Draws the resamples (N of N with replacement, 2000 times).
     """
     n = len(sample)
-    value = float(statistic(sample, axis=0))
-    if n < 2:
-        return Interval(value, None, None)
+    centred = sample - sample.mean()
     rows = max(1, _CHUNK // n)
     found = [
-        statistic(sample[rng.integers(n, size=(min(rows, _RESAMPLES - first), n))], axis=1)
+        centred[rng.integers(n, size=(min(rows, _RESAMPLES - first), n))].std(axis=1, ddof=1)
         for first in range(0, _RESAMPLES, rows)
     ]
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(np.concatenate(found), (tail, 100.0 - tail))
-    return Interval(value, float(low), float(high))
-
-
-def deviation(sample: Sample, axis: int = 0) -> Any:
-    """Return the standard deviation with N − 1 in the denominator."""
-    return sample.std(axis=axis, ddof=1)
+    return Interval(float(sample.std(ddof=1)), float(low), float(high))

@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -131,11 +131,11 @@ class Study(Document):
         if self.runs is not None and self.seeds is not None:
             raise ValueError("give 'runs' or 'seeds', not both")
         self._check_keys()
+        if self.count > MAX_RUNS:
+            raise ValueError(f"{self.count} runs are more than {MAX_RUNS}")
         for name, values in (*self.grid.items(), ("starts", self.starts), ("seeds", self.seeds)):
             if (twice := _repeated(values or ())) is not None:
                 raise ValueError(f"{name}: {twice} is there twice")
-        if self.count > MAX_RUNS:
-            raise ValueError(f"{self.count} runs are more than {MAX_RUNS}")
         return self
 
     def _check_keys(self) -> None:
@@ -195,7 +195,14 @@ def _words(cell: Mapping[str, Any]) -> list[int]:
 
 
 def _repeated(values: Sequence[Any]) -> Any | None:
-    return next((value for k, value in enumerate(values) if value in values[:k]), None)
+    """Return a value that is there twice, if any; None is not taken for one."""
+    seen = set()
+    for value in values:
+        mark = value if isinstance(value, Hashable) else json.dumps(value, default=str)
+        if mark in seen:
+            return value
+        seen.add(mark)
+    return None
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from visctrl.experiments.intervals import CONFIDENCE, bootstrapped, deviation, mean, wilson
+from visctrl.experiments.intervals import CONFIDENCE, deviation, mean, median, wilson
 from visctrl.experiments.study import Study
 from visctrl.experiments.study_table import DIED, ERRORS, Row
 from visctrl.runtime.summary import REACHED
@@ -20,7 +20,7 @@ METHODS = {
     "reached": "Wilson's score interval",
     "mean": "Student's t",
     "sd": "percentile bootstrap, 2000 resamples",
-    "median": "percentile bootstrap, 2000 resamples",
+    "median": "order statistics",
     "errors": "over all runs whose final pose is known, arrived or not",
 }
 
@@ -82,7 +82,7 @@ def _errors(rows: Sequence[Row], rng: np.random.Generator) -> dict[str, Any]:
     found: dict[str, Any] = {
         "known": len(known),
         "distance_cm": {
-            "median": bootstrapped(np.median, distance, rng)._asdict(),
+            "median": median(distance)._asdict(),
             "max": float(distance.max()),
         },
     }
@@ -90,5 +90,5 @@ def _errors(rows: Sequence[Row], rng: np.random.Generator) -> dict[str, Any]:
         sample = np.array([row[name] for row in known])
         found[name] = {"mean": mean(sample)._asdict()}
         if len(sample) > 1:
-            found[name]["sd"] = bootstrapped(deviation, sample, rng)._asdict()
+            found[name]["sd"] = deviation(sample, rng)._asdict()
     return found

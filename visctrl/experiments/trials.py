@@ -127,7 +127,9 @@ def load_study(name: str) -> LoadedStudy:
     study = validate(read_yaml(source), Study, origin)
     chosen = study.scenario
     if chosen not in scenario_names() and isinstance(source, Path):
-        chosen = str(source.parent / chosen)
+        beside = source.parent / chosen
+        if beside.suffix in {".yaml", ".yml"} or beside.exists():
+            chosen = str(beside)
     try:
         scenario = scenario_source(chosen)
         base = read_yaml(scenario)

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -91,8 +92,7 @@ class LocalWorkers:
                         yield item, result
             if not suspects:
                 return
-            for item in suspects:
-                yield item, _alone(work, item)
+            yield from _one_by_one(work, suspects)
 
 
 def stream(
@@ -136,14 +136,23 @@ def _until(stop: Sized, items: Iterator[T]) -> Iterator[T]:
         yield item
 
 
-def _alone(work: Callable[[T], R], item: T) -> R | Died:
-    with _pool(1) as pool:
-        try:
-            return _submitter(pool, work)(item).result()
-        except BrokenProcessPool:
-            return Died("its process died, and again when the run was repeated alone")
-        except WorkerStoppedError:
-            return Died("its process was stopped, and again when the run was repeated alone")
+def _one_by_one(work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
+    """Yield items with their results; nothing else is under way beside each."""
+    left = deque(items)
+    while left:
+        with _pool(1) as pool:
+            submit, alive = _submitter(pool, work), True
+            while left and alive:
+                item = left.popleft()
+                result: R | Died
+                try:
+                    result = submit(item).result()
+                except BrokenProcessPool:
+                    alive = False
+                    result = Died("its process died, and again when the run was repeated alone")
+                except WorkerStoppedError as error:
+                    result = Died(f"{error}, and again when the run was repeated alone")
+                yield item, result
 
 
 def _submitter(pool: ProcessPoolExecutor, work: Callable[[T], R]) -> Callable[[T], Future[R]]:
