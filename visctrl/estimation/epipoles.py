@@ -78,6 +78,12 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         Signal("e31", "1"),
         Signal("e22ar", "1"),
         Signal("e2ar2", "1"),
+        Signal("e23_sd", "1"),
+        Signal("e32_sd", "1"),
+        Signal("e12_sd", "1"),
+        Signal("e21_sd", "1"),
+        Signal("e13_sd", "1"),
+        Signal("e31_sd", "1"),
         Signal("e23_bearing_sd", "rad"),
         Signal("e32_bearing_sd", "rad"),
         Signal("e12_bearing_sd", "rad"),
@@ -144,6 +150,8 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
             if pair is not None and pair.health is not Health.LOST:
                 found[a], found[b] = pair.epipole_a, pair.epipole_b
                 found[f"{a}_bearing_sd"], found[f"{b}_bearing_sd"] = pair.sd_a, pair.sd_b
+                found[f"{a}_sd"] = pair.sd_a * (1.0 + pair.epipole_a**2)
+                found[f"{b}_sd"] = pair.sd_b * (1.0 + pair.epipole_b**2)
         if self._last.location is not None:
             found["inverse_distance"] = self._last.location.inverse_distance
         names = {signal.name for signal in self.signals}

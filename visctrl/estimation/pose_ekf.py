@@ -125,6 +125,9 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
     signals: ClassVar[tuple[Signal, ...]] = (
         Signal("nis", ""),
         Signal("nis_dof", ""),
+        Signal("x", "m"),
+        Signal("y", "m"),
+        Signal("phi", "rad"),
         Signal("x_sd", "m"),
         Signal("y_sd", "m"),
         Signal("phi_sd", "rad"),
@@ -165,11 +168,10 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
         return self._estimate(self._filter)
 
     def values(self) -> Mapping[str, float]:
-        """Return the filter's own account of its accuracy."""
+        """Return the pose and the filter's own account of its accuracy."""
         if self._filter is None:
             return {}
-        x_sd, y_sd, phi_sd = np.sqrt(np.diag(self._filter.covariance)).tolist()
-        found = {"x_sd": x_sd, "y_sd": y_sd, "phi_sd": phi_sd}
+        found = self._estimate(self._filter).values()
         if self._nis is not None:
             found |= {"nis": self._nis[0], "nis_dof": float(self._nis[1])}
         return found

@@ -41,6 +41,11 @@ class PoseEstimate(Estimate):
     initial: Pose
     need: Need = Need.NOTHING
 
+    def values(self) -> dict[str, float]:
+        """Return the pose and its standard deviations as numbers for ``ticks.csv``."""
+        x_sd, y_sd, phi_sd = np.sqrt(np.diag(self.covariance)).tolist()
+        return {**self.pose._asdict(), "x_sd": x_sd, "y_sd": y_sd, "phi_sd": phi_sd}
+
     @classmethod
     def unknown(cls, need: Need, health: Health, reason: str) -> PoseEstimate:
         """Return the estimate of an estimator that does not know where it is yet."""

@@ -20,8 +20,9 @@ from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
 Array = NDArray[np.float64]
 
+_ELEMENT_SDS = tuple(f"{name}_sd" for name in ELEMENTS)
 _SIGNALS = (
-    *(Signal(name, "1") for name in ELEMENTS),
+    *(Signal(name, "1") for name in (*ELEMENTS, *_ELEMENT_SDS)),
     Signal("xi1", "1"),
     Signal("xi2", "1"),
     Signal("xi1_sd", "1"),
@@ -102,7 +103,8 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
             "residual_sd": self._measurement.spread,
         }
         elements = zip(ELEMENTS, last.elements, strict=True)
-        return {name: float(value) for name, value in (*elements, *numbers.items())}
+        sds = zip(_ELEMENT_SDS, np.sqrt(np.maximum(np.diag(last.covariance), 0.0)), strict=True)
+        return {name: float(value) for name, value in (*elements, *sds, *numbers.items())}
 
     def _new_method(self) -> TensorMethod:
         options, context = self.options, self.context

@@ -29,6 +29,7 @@ from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
 from visctrl.runtime.scheduler import Tick, Ticker
+from visctrl.runtime.stop import StopRequest
 from visctrl.runtime.watchdog import Watchdog
 
 T = TypeVar("T")
@@ -93,6 +94,8 @@ class Loop:
         Shielded while a command is on its way.
     observers : sequence of Observer
         Told about every tick.
+    stop : StopRequest
+        Ends the run when it is made.
     """
 
     def __init__(
@@ -104,8 +107,10 @@ class Loop:
         period: float,
         interrupts: Interrupts,
         observers: Sequence[Observer],
+        stop: StopRequest,
     ) -> None:
         self._backend = backend
+        self._stop = stop
         self._perception = perception
         self._perception_name = perception_name
         self._guard = guard
@@ -131,11 +136,13 @@ class Loop:
         ------
         DeviceError, PluginError, LostError, UnsafeCommandError
             The run cannot go on.
+        StopRequested
+            Somebody wants it to end.
         """
         if self._backend.clock.lockstep:
             return self._run(stage)
         self._watchdog = Watchdog(self._backend.base.stop, self._guard.max_command_age)
-        with self._watchdog:
+        with self._watchdog, self._stop.acting_at_once(self._watchdog.act):
             return self._run(stage)
 
     def _run(self, stage: Stage) -> bool:
@@ -164,6 +171,7 @@ class Loop:
                 base.stop()
                 sent = STANDSTILL
             else:
+                self._stop.check()
                 sent = base.command(velocity)
             self._watchdog.feed(moving=sent != STANDSTILL)
         self._guard.was_sent(sent, self._backend.clock.now())
@@ -171,6 +179,7 @@ class Loop:
 
     def _tick(self, turn: _Turn, tick: Tick) -> None:
         """Do one tick of a stage."""
+        self._stop.check()
         blame = self._count(tick, turn)
         turn.begin(self._timer())
         truth = self._backend.truth()
@@ -229,7 +238,7 @@ class Loop:
         """Return what perception sees, or nothing where the frame is too old to be the present."""
         problem = self._guard.frame_problem(frame, self._backend.clock.now())
         if problem:
-            return _nothing_seen(frame, problem)
+            return nothing_seen(frame, problem)
         return self._call(
             f"perception '{self._perception_name}'", lambda: self._perception.update(frame)
         )
@@ -259,6 +268,7 @@ class Loop:
             turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
             turn.decision = Decision(STANDSTILL, turn.decision.phase)
             return
+        stage.controller.sense(self._backend.base.ranges())
         turn.decision = self._call(
             f"controller '{stage.controller_name}'",
             lambda: stage.controller.update(estimate, turn.control_time),
@@ -341,7 +351,8 @@ class _Turn:
         return STAGES[max(range(len(self.seconds)), key=self.seconds.__getitem__)]
 
 
-def _nothing_seen(frame: Frame, reason: str) -> Views:
+def nothing_seen(frame: Frame, reason: str) -> Views:
+    """Return the views of a frame that must not be used."""
     nothing = np.empty((0, 3))
     return Views(
         ids=np.empty(0, dtype=np.int64),

@@ -15,6 +15,7 @@ from hal.types import Pose
 from robots.errors import InputError, VisctrlError
 from visctrl.config import to_yaml
 from visctrl.plugins import Context, Perception, Plugin
+from visctrl.runtime.images import ImageRecorder
 from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
 from visctrl.runtime.pictures import Pictures
@@ -22,6 +23,7 @@ from visctrl.runtime.plan import Chosen, Plan, StagePlan
 from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, RunDirectory
 from visctrl.runtime.records import Observer
 from visctrl.runtime.safety import Guard, LostError
+from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
 from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, Meter, judge, summarise
 
@@ -53,6 +55,7 @@ def run_session(
     *,
     video: bool = False,
     observers: Sequence[Observer] = (),
+    stop: StopRequest | None = None,
 ) -> Outcome:
     """Run a plan to its end, whatever that is.
 
@@ -66,6 +69,8 @@ def run_session(
         Also write an MP4 of the camera's images.
     observers : sequence of Observer
         Told about everything that happens.
+    stop : StopRequest or None
+        Ends the run when it is made, from any thread.
 
     Raises
     ------
@@ -73,23 +78,33 @@ def run_session(
         Something cannot be used, found before the robot was told anything. Nothing is left
         behind. Every other failure is an `Outcome`.
     """
-    return _Session(plan, out, video, observers).run()
+    return _Session(plan, out, video, observers, stop or StopRequest()).run()
 
 
 class _Session:
     def __init__(
-        self, plan: Plan, out: Path | None, video: bool, observers: Sequence[Observer]
+        self,
+        plan: Plan,
+        out: Path | None,
+        video: bool,
+        observers: Sequence[Observer],
+        stop: StopRequest,
     ) -> None:
         self._plan = plan
+        self._stop_request = stop
         self._directory = RunDirectory(out) if out is not None else None
         self._meter = Meter()
         self._video = video
         self._observers: list[Observer] = [self._meter, *observers]
         self._recorder: Recorder | None = None
         self._pictures: Pictures | None = None
+        self._images: ImageRecorder | None = None
         if self._directory is not None:
             self._pictures = Pictures(plan.camera, self._directory)
             self._observers.append(self._pictures)
+            if plan.scenario.record_images:
+                self._images = ImageRecorder(self._directory.path, plan.camera)
+                self._observers.append(self._images)
         self._interrupts = Interrupts()
         self._tally = Tally()
         self._plugins: list[Plugin[Any]] = []
@@ -106,6 +121,8 @@ class _Session:
             except InputError:
                 if self._recorder is not None:
                     self._recorder.close()
+                if self._images is not None:
+                    self._images.close()
                 if self._directory is not None:
                     self._directory.discard()
                 raise
@@ -153,6 +170,7 @@ class _Session:
             plan.period_s,
             self._interrupts,
             self._observers,
+            self._stop_request,
         )
         self._tally = loop.tally
         self._began = (backend.clock.now(), time.perf_counter())
@@ -207,6 +225,8 @@ class _Session:
         for stage in stages:
             named.append((stage.estimator_name, stage.estimator))
             named.append((stage.controller_name, stage.controller))
+        if self._images is not None:
+            self._images.may_wait = lockstep
         self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
         self._recorder = Recorder(self._directory.path, named, lockstep=lockstep)
         self._observers.append(self._recorder)
@@ -222,7 +242,7 @@ class _Session:
             )
         _call(self._perceiver, lambda: perception.set_target(frames))
         for observer in self._observers:
-            observer.on_target(frames[0])
+            observer.on_target(frames)
 
     def _take_initial(self, backend: Backend, perception: Perception[Any]) -> None:
         self._tell("matching the initial view to the target")
@@ -273,6 +293,10 @@ class _Session:
             self._attempt("recording", self._recorder.close)
             if self._recorder.problem:
                 self._notes.append(self._recorder.problem)
+        if self._images is not None:
+            self._attempt("recording images", self._images.close)
+            if self._images.problem:
+                self._notes.append(self._images.problem)
         if self._directory is not None:
             self._write(self._directory, end, summary)
         if self._tally.missed:
@@ -309,6 +333,8 @@ def _ended_by(error: BaseException) -> End:
     """Return what an exception makes of a run."""
     if isinstance(error, Interrupted):
         return End(STOPPED, str(error), error.exit_code)
+    if isinstance(error, StopRequested):
+        return End(STOPPED, str(error), _KEYBOARD_INTERRUPT)
     if isinstance(error, KeyboardInterrupt):
         return End(STOPPED, "stopped by Ctrl-C", _KEYBOARD_INTERRUPT)
     if isinstance(error, LostError):

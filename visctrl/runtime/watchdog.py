@@ -54,6 +54,12 @@ class Watchdog:
             self._expires = time.monotonic() + self._timeout if moving else None
             self._changed.notify()
 
+    def act(self) -> None:
+        """Stop the base now, from any thread."""
+        with self._changed:
+            self._expires = None
+            self._stop()
+
     def _watch(self) -> None:
         with self._changed:
             while not self._closed:
@@ -61,7 +67,6 @@ class Watchdog:
                 if left is None or left > 0.0:
                     self._changed.wait(left)
                     continue
-                self._expires = None
                 # The loop meets a failure of the base itself as soon as it goes on.
                 with contextlib.suppress(Exception):
-                    self._stop()
+                    self.act()
