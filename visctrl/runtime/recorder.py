@@ -19,9 +19,9 @@ from visctrl.plugins import Plugin
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 
 TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
-TARGET, INITIAL, FINAL, PLOTS = "target.png", "initial.png", "final.png", "plots.png"
+TARGET, INITIAL, FINAL, REPORT = "target.png", "initial.png", "final.png", "report.html"
 VIDEO, FAULT = "video.mp4", "fault.txt"
-FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, PLOTS, VIDEO, FAULT)
+FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, REPORT, VIDEO, FAULT)
 
 _MS = 1000.0
 #: Ticks that may wait to be written; with more, they are given up.
