@@ -7,11 +7,12 @@ hardware layer knows which one is running.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
 from hal.central_camera import CentralCamera
-from hal.types import BaseStatus, Frame, Odometry, Pose, Velocity
+from hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
 from robots import Robot
 
 
@@ -69,6 +70,10 @@ class Base(ABC):
     def status(self) -> BaseStatus:
         """Return the base's health; the default is a base that has nothing to report."""
         return BaseStatus()
+
+    def ranges(self) -> Sequence[Range]:
+        """Return the newest reading of every range sensor; the default has none."""
+        return ()
 
     def stop(self) -> None:
         """Bring the base to a standstill as fast as it safely can. May be called at any time."""

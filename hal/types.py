@@ -69,6 +69,20 @@ class Odometry:
     velocity: Velocity
 
 
+class Range(NamedTuple):
+    """One reading of a range sensor.
+
+    right, forward : where the sensor sits about the axle's centre (m).
+    bearing : in which direction it looks (rad, clockwise from forward).
+    distance : to what it meets (m); infinite for nothing.
+    """
+
+    right: float
+    forward: float
+    bearing: float
+    distance: float
+
+
 @dataclass(frozen=True)
 class BaseStatus:
     """Health of the base. ``faults`` are sentences; the robot may move only if it is empty."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.central_camera import CentralCamera
-from hal.types import STANDSTILL, Frame, Velocity
+from hal.types import STANDSTILL, Frame, Range, Velocity
 from robots import Limits
 from robots.documents import Document
 
@@ -209,6 +209,9 @@ class Controller(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
 
     #: Estimates that `update` accepts, checked when a scheme is put together.
     accepts: ClassVar[type[Estimate]]
+
+    def sense(self, ranges: Sequence[Range]) -> None:
+        """Hear what the base's range sensors say, before `update`. The default is to ignore it."""
 
     @abstractmethod
     def update(self, estimate: EstimateT, t: float) -> Decision:

@@ -93,7 +93,6 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
     monkeypatch.setitem(REGISTRIES.perception.builtin, "blind", "blind_plugins:Blind")
     monkeypatch.setitem(REGISTRIES.estimators.builtin, "toy", "toy_plugins:ToyEstimator")
     monkeypatch.setitem(REGISTRIES.controllers.builtin, "toy", "toy_plugins:ToyController")
-    monkeypatch.setattr("visctrl.report.plots.plot_run", lambda source, target: target.touch())
     stop = threading.Event()
     firmware = Firmware(character("p3dx-sh"))
     with Emulator(firmware, PtyPort()) as emulator, MjpegServer() as server:

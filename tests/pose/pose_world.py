@@ -42,6 +42,7 @@ class World:
         self.offset, self.noise, self.noise_px, self.gain = offset, noise, noise_px, gain
         self.camera, self.believed = camera, believed
         self.time = 0.0
+        self.believed_noise_px = noise_px
         self.points = self._scene(count)
         target = [self._see(np.zeros(3)) for _ in range(target_frames)]
         self._target = np.mean(target, axis=0)
@@ -84,7 +85,7 @@ class World:
         current = self._see(self.pose)
         rays = [self.believed.robot_rays(p)[0] for p in (self._target, self._initial, current)]
         seen = np.isfinite(np.sum(rays, axis=(0, 2))) & (not blind)
-        sigma_px = max(self.noise_px, 1e-4)
+        sigma_px = max(self.believed_noise_px, 1e-4)
         images = np.stack([self._target, self._initial, current])[:, seen]
         # About an upright axis a bearing is an angle about the image's centre.
         sigmas = sigma_px / np.linalg.norm(images - [self.believed.cx, self.believed.cy], axis=-1)

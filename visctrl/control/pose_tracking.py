@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hal.types import STANDSTILL, Pose, Velocity
+from hal.types import STANDSTILL, Pose, Range, Velocity
 from robots.documents import Document
 from robots.errors import InputError
 from robots.unicycle import compose, relative_pose, wrap_angle
+from visctrl.control.avoidance import (
+    EchoedObstacles,
+    ListedObstacle,
+    ListedObstacles,
+    Obstacle,
+    ObstacleProvider,
+    blocking,
+    way_round,
+)
 from visctrl.control.paths import ParabolicPath, Reference, detour, path_demand, reachable
 from visctrl.estimation.pose_estimate import Need, PoseEstimate
 from visctrl.plugins import Context, Controller, Decision, Signal
@@ -62,6 +71,11 @@ class PoseTrackingOptions(Document):
     settle_s : how long the goal is held at the end.
     align : whether the heading is corrected on the spot at the end.
     reserve : share of the robot's limits that a path may ask for; the rest is for corrections.
+    obstacles : those of the scenario, each noticed when the camera comes near.
+    sonar_m : range sensors are believed up to this distance; 0 ignores them.
+    clearance_m : of the camera's path from an obstacle's edge: half the robot's diagonal, the
+        camera's distance from its middle, and a margin.
+    pause_s : how long the robot stops when something blocks its path.
     """
 
     tau_s: Positive = 40.0
@@ -75,6 +89,10 @@ class PoseTrackingOptions(Document):
     settle_s: NonNegative = 1.5
     align: bool = True
     reserve: Annotated[float, Field(gt=0.0, le=1.0)] = 0.8
+    obstacles: tuple[ListedObstacle, ...] = ()
+    sonar_m: NonNegative = 0.0
+    clearance_m: Positive = 0.7
+    pause_s: NonNegative = 1.0
 
 
 class _Stage:
@@ -91,6 +109,7 @@ class _Stage:
         self.tau = tau
         self.straight = 0.0
         self.time = 0.0
+        self.target = Goal(x_m=goal[0], y_m=goal[1])
 
     def path(self, initial: Pose) -> ParabolicPath:
         """Return the path as it lies for the present estimate of the initial view."""
@@ -104,7 +123,8 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
     Raises
     ------
     InputError
-        The camera sits on the turning centre (ℓ = 0), or a gain is outside (0, 2/Ts).
+        The camera sits on the turning centre (ℓ = 0), a gain is outside (0, 2/Ts), or a goal is
+        too near an obstacle.
     """
 
     Options: ClassVar[type[PoseTrackingOptions]] = PoseTrackingOptions
@@ -130,14 +150,25 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
                     f"{context.period_s:g} s: it must be under 2/Ts = {bound:g}"
                 )
         self._gain = np.array([options.lambda_x, options.lambda_y])
+        self._refuse_blocked_goals()
+        self._providers: list[ObstacleProvider] = [ListedObstacles(options.obstacles)]
+        if options.sonar_m > 0.0:
+            self._providers.append(EchoedObstacles(options.sonar_m, context.camera_forward_m))
+        self._ranges: Sequence[Range] = ()
         self._goals: list[Goal] | None = None
         self._stage: _Stage | None = None
+        self._halted: float | None = None
         self._turning = False
         self._t = 0.0
         self._elapsed = 0.0
+        self._pace = 0.0
         self._settled = 0.0
         self._task_time = 0.0
         self._reference: Reference | None = None
+
+    def sense(self, ranges: Sequence[Range]) -> None:
+        """Keep what the range sensors say for the next `update`."""
+        self._ranges = ranges
 
     def update(self, estimate: PoseEstimate, t: float) -> Decision:
         """Return the velocity for an estimate at ``t`` seconds since this controller started."""
@@ -148,12 +179,16 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
             return Decision(Velocity(self.options.advance_m_s, 0.0), "advance")
         if self._goals is None:
             self._goals = self._plan(estimate.pose)
+        self._elapsed += dt
         if self._stage is not None:
             self._stage.time += dt
-            self._elapsed += dt
             if self._stage.time >= self._stage.tau and self._goals:
                 self._stage = None
-        if self._stage is None and self._goals:
+        obstacles = self._obstacles(estimate.pose)
+        halt = self._avoid(estimate, self._goals, obstacles)
+        if halt is not None:
+            return halt
+        if self._stage is None:
             return self._begin(estimate, self._goals)
         return self._follow(estimate, dt)
 
@@ -178,7 +213,19 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
                 planned.append(Goal(x_m=x, y_m=y))
             planned.append(goal)
             here = there
+        way = sum(self._ways((pose.x, pose.y), planned))
+        self._pace = self.options.tau_s / max(way, 1e-9)
         return planned
+
+    @staticmethod
+    def _ways(here: tuple[float, float], goals: Sequence[Goal]) -> list[float]:
+        """Return the lengths of the stages through some goals (m)."""
+        ways = []
+        for goal in goals:
+            there = (goal.x_m, goal.y_m)
+            ways.append(ParabolicPath(here, there).length)
+            here = there
+        return ways
 
     def _begin(self, estimate: PoseEstimate, goals: list[Goal]) -> Decision:
         """Turn on the spot if the next stage asks for it, then start it."""
@@ -193,7 +240,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         self._turning = False
         demand = path_demand(path, estimate.pose.phi, stage.lever)
         stage.tau = max(tau, demand.time(self.context.limits, self.options.reserve))
-        goals.pop(0)
+        stage.target = goals.pop(0)
         self._stage = stage
         rest = self.options.tau_s - self._elapsed - tau if goals else 0.0
         self._task_time = self._elapsed + stage.tau + max(rest, 0.0)
@@ -201,17 +248,14 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
 
     def _time_for(self, pose: Pose, goals: list[Goal]) -> float:
         """Return the time for the next stage: as asked for, or by its share of the way left."""
+        ways = self._ways((pose.x, pose.y), goals)
+        # What a detour has cost is made up for by at most half of the planned time.
+        least = 0.5 * self._pace * ways[0]
         until = goals[0].until_s
-        left = self.options.tau_s - self._elapsed
         if until is not None:
-            return max(until - self._elapsed, 1.0)
-        here = (pose.x, pose.y)
-        ways = []
-        for goal in goals:
-            there = (goal.x_m, goal.y_m)
-            ways.append(ParabolicPath(here, there).length)
-            here = there
-        return max(left * ways[0] / max(sum(ways), 1e-9), 1.0)
+            return max(until - self._elapsed, least)
+        left = self.options.tau_s - self._elapsed
+        return max(left * ways[0] / max(sum(ways), 1e-9), least)
 
     def _prepared(self, estimate: PoseEstimate, goal: tuple[float, float], tau: float) -> _Stage:
         """Return a stage from the present pose, with its control point and straight end."""
@@ -231,6 +275,55 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
             straight = max(_STRAIGHT_M, _STRAIGHT_LEVERS * abs(lever))
         stage.straight = straight
         return stage
+
+    # --- obstacles ---------------------------------------------------------------------------
+
+    def _refuse_blocked_goals(self) -> None:
+        """Raise where a goal is too near an obstacle of the scenario."""
+        goals = [("the target", 0.0, 0.0)]
+        goals += [(f"goals.{k}", g.x_m, g.y_m) for k, g in enumerate(self.options.goals)]
+        for k, listed in enumerate(self.options.obstacles):
+            for name, x, y in goals:
+                free = float(listed.obstacle.distance(np.array([x, y])))
+                if free < self.options.clearance_m:
+                    raise InputError(
+                        f"controller.obstacles.{k}: {name} is {max(free, 0.0):.2f} m from its edge "
+                        f"and needs {self.options.clearance_m:g} m (controller.clearance_m)"
+                    )
+
+    def _obstacles(self, pose: Pose) -> list[Obstacle]:
+        return [o for source in self._providers for o in source.noticed(pose, self._ranges)]
+
+    def _avoid(
+        self, estimate: PoseEstimate, goals: list[Goal], obstacles: list[Obstacle]
+    ) -> Decision | None:
+        """Stop before what blocks the path and put a goal beside it; None where the way is free."""
+        if not obstacles:
+            return None
+        clearance, here = self.options.clearance_m, (estimate.pose.x, estimate.pose.y)
+        stage = self._stage
+        if self._halted is None:
+            if stage is not None:
+                passed = min(stage.time / stage.tau, 1.0)
+                rest = stage.path(estimate.initial).points()
+                rest = rest[min(int(passed * len(rest)), len(rest) - 1) :]
+            else:
+                rest = ParabolicPath(here, (goals[0].x_m, goals[0].y_m)).points()
+            if not blocking(rest, obstacles, clearance):
+                return None
+            self._halted = self._t
+            if stage is not None:
+                goals.insert(0, stage.target)
+                self._stage = None
+        if self._t - self._halted < self.options.pause_s:
+            return Decision(STANDSTILL, "stop")
+        goal = (goals[0].x_m, goals[0].y_m)
+        between = way_round(here, goal, obstacles, clearance)
+        if between is None:
+            return Decision(STANDSTILL, "blocked")
+        self._halted = None
+        goals.insert(0, Goal(x_m=between[0], y_m=between[1]))
+        return None
 
     # --- following ---------------------------------------------------------------------------
 

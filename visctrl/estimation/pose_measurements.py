@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from visctrl.geometry.planar import ransac_planar_motion, refine_planar_motion
+from visctrl.geometry.pose_outputs import epipole_bearings, normalised_elements
 from visctrl.geometry.transfer import wrap_half_turn
 from visctrl.geometry.trifocal import (
     CALIBRATED,
     ELEMENTS,
-    T121,
     Trilinear,
     current_view_basis,
     normalised,
@@ -74,28 +74,6 @@ class MeasurementModel(ABC):
 # --- tensor ----------------------------------------------------------------------------------
 
 
-def element_jacobian(initial: ArrayLike, pose: ArrayLike) -> tuple[Array, Array]:
-    """Return all normalised elements (..., 8), T / T121, and ∂/∂(x2, y2, φ2) (..., 8, 3).
-
-    T121 moves with the pose, too: ∂(T/T121) = (∂T − (T/T121) ∂T121) / T121.
-    """
-    pose = np.asarray(pose, dtype=np.float64)
-    target = target_in_view(pose)
-    view = view_parameters(pose[..., 2], target)
-    s, c = view[..., 1], view[..., 0]
-    by_pose = np.zeros((*view.shape, 3))
-    by_pose[..., 0, 2], by_pose[..., 1, 2] = -s, c
-    by_pose[..., 2, 0], by_pose[..., 2, 1], by_pose[..., 2, 2] = -c, -s, target[..., 1]
-    by_pose[..., 3, 0], by_pose[..., 3, 1], by_pose[..., 3, 2] = s, -c, -target[..., 0]
-    first = np.asarray(initial, dtype=np.float64)
-    basis = current_view_basis(view_parameters(first[..., 2], target_in_view(first)))
-    T = (basis @ view[..., None])[..., 0]
-    J = basis @ by_pose
-    ratio = normalised(T)
-    slope = (J - ratio[..., None] * J[..., None, T121, :]) / T[..., T121, None, None]
-    return ratio, np.asarray(slope, dtype=np.float64)
-
-
 class TensorModel(MeasurementModel):
     """Elements of the 1D trifocal tensor over T121.
 
@@ -134,7 +112,7 @@ class TensorModel(MeasurementModel):
 
     def predict(self, pose: ArrayLike) -> tuple[Array, Array]:
         """Return the elements and their derivatives (see the contract)."""
-        ratio, slope = element_jacobian(self._initial, pose)
+        ratio, slope = normalised_elements(pose, self._initial)
         return ratio[..., self._which], slope[..., self._which, :]
 
 
@@ -188,26 +166,6 @@ def _agreeing(relation: Trilinear, sigma: float, seed: int) -> Trilinear:
 # --- epipoles --------------------------------------------------------------------------------
 
 
-def epipole_bearings(pose: ArrayLike, reference: ArrayLike) -> tuple[Array, Array]:
-    """Return the epipoles' bearings (..., 2) and ∂/∂(x, y, φ) of the pose (..., 2, 3).
-
-    The first is the epipole in the view at ``reference`` (..., 3), the second in the one at
-    ``pose`` (..., 3); both are directions of lines, modulo π. They are the arc tangents of (4.1),
-    with which an epipole at infinity is harmless, and their derivatives those of (4.5) over
-    1 + (e/αx)².
-    """
-    pose = np.asarray(pose, dtype=np.float64)
-    reference = np.asarray(reference, dtype=np.float64)
-    dx, dy = pose[..., 0] - reference[..., 0], pose[..., 1] - reference[..., 1]
-    line = np.arctan2(dx, dy)
-    square = np.maximum(dx * dx + dy * dy, 1e-12)
-    value = np.stack([line + reference[..., 2], line + pose[..., 2]], axis=-1)
-    slope = np.zeros((*value.shape, 3))
-    slope[..., 0], slope[..., 1] = (dy / square)[..., None], (-dx / square)[..., None]
-    slope[..., 1, 2] = 1.0
-    return value, slope
-
-
 class EpipoleModel(MeasurementModel):
     """Epipoles of the current view with the target view or, near it, with the initial one.
 
@@ -217,7 +175,8 @@ class EpipoleModel(MeasurementModel):
         C1, taken for exact.
     both : the epipoles in both views of the pair, instead of the fixed view's alone.
     switch : distance to the target (m) from which on the initial view takes its place, as the
-        baseline to the target vanishes there.
+        baseline to the target vanishes there. It does so earlier where the target's epipoles
+        can no longer be told.
     seed : of the search for outliers.
     """
 
@@ -226,15 +185,23 @@ class EpipoleModel(MeasurementModel):
         self._rows = slice(0, 2 if both else 1)
         self._switch = switch
         self._seed = seed
+        self._near = False
         self._reference = np.zeros(3)
         self._last: tuple[float, float] | None = None
 
     def measure(self, views: Views, pose: Array) -> Measured | str:
         """Return the epipoles' bearings from the planar essential matrix."""
-        near = float(np.hypot(pose[0], pose[1])) < self._switch
-        if near and not self._reference.any():
-            self._reference, self._last = self._initial, None
-        fixed = views.initial if self._reference.any() else views.target
+        self._near = self._near or float(np.hypot(pose[0], pose[1])) < self._switch
+        if not self._near:
+            found = self._measured(views, views.target, np.zeros(3))
+            if not isinstance(found, str):
+                return found
+        return self._measured(views, views.initial, self._initial)
+
+    def _measured(self, views: Views, fixed: Array, reference: Array) -> Measured | str:
+        """Measure the pair of a fixed view, rays (N, 3) from ``reference``, and the current one."""
+        if not np.array_equal(reference, self._reference):
+            self._reference, self._last = reference, None
         motion = None
         if self._last is not None:
             motion = refine_planar_motion(fixed, views.current, *self._last, views.sigma)

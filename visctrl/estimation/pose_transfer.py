@@ -89,6 +89,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         self._leg = ForwardLeg()
         self._start: Start | None = None
         self._next_try = self.options.leg_min_m
+        self._failed = ""
         self._filter: TransferFilter | None = None
         self._ids: Ids = np.empty(0, dtype=np.int64)
         self._unused: NDArray[np.int64] = np.empty(0, dtype=np.int64)
@@ -127,6 +128,8 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     def _begin(self, views: Views | None, velocity: Velocity, dt: float) -> PoseEstimate:
         """Collect a frame of the first leg, and end the leg when it tells enough."""
         options, leg = self.options, self._leg
+        if self._failed:
+            return PoseEstimate.unknown(self._need, Health.LOST, self._failed)
         leg.move(velocity, dt, self.context.camera_forward_m, options.noise.covariance(velocity))
         if views is None:
             return PoseEstimate.unknown(self._need, self._blindness(), "no new frame")
@@ -142,7 +145,8 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
                 self._ids, self._unused = ids, np.zeros(len(ids), dtype=np.int64)
                 return self._estimate(self._filter)
             if leg.travelled >= options.leg_max_m:
-                return PoseEstimate.unknown(self._need, Health.LOST, self._failure())
+                self._failed = self._failure()
+                return PoseEstimate.unknown(self._need, Health.LOST, self._failed)
         return PoseEstimate.unknown(self._need, Health.DEGENERATE, "finding the start")
 
     @property

@@ -41,8 +41,10 @@ def write_comparison(directories: Sequence[Path], target: Path) -> Path:
     runs = [read_run(directory) for directory in directories]
     named = list(zip(_names(directories), runs, strict=True))
     body = (
-        f'<header><h1>{len(runs)} runs compared</h1></header>{_table(named)}'
-        + section("Paths and signals", f'<div class="overview">{_paths(named)}{_charts(named)}</div>')
+        f"<header><h1>{len(runs)} runs compared</h1></header>{_table(named)}"
+        + section(
+            "Paths and signals", f'<div class="overview">{_paths(named)}{_charts(named)}</div>'
+        )
         + _differences(named)
     )
     save(target, page("visctrl: runs compared", body))
@@ -138,7 +140,7 @@ def _heading(ticks: Ticks) -> Array:
 
 
 def _compute(ticks: Ticks) -> Array:
-    return np.sum([ticks.numbers[name] for name in COMPUTE], axis=0)
+    return np.asarray(sum(ticks.numbers[name] for name in COMPUTE))
 
 
 def _differences(named: Sequence[tuple[str, RunFiles]]) -> str:

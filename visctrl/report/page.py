@@ -62,7 +62,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         f"<tr><th>{row[0]}</th>{''.join(f'<td>{cell}</td>' for cell in row[1:])}</tr>"
         for row in rows
     )
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    rows_of = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="wide"><table>{rows_of}</table></div>'
 
 
 def verdict(status: str) -> str:

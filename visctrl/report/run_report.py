@@ -216,12 +216,12 @@ def _path(run: RunFiles) -> str:
 
 
 def _timeline(spans: Sequence[Span]) -> str:
-    bars = "".join(
-        f'<span style="flex-grow:{max(span.end - span.begin, 0.01):.2f}" '
-        f'title="{escape(span.name)}: {span.begin:.1f} to {span.end:.1f} s">{escape(span.name)}</span>'
-        for span in spans
-    )
-    return f'<div class="timeline">{bars}</div>'
+    bars = []
+    for span in spans:
+        name, length = escape(span.name), max(span.end - span.begin, 0.01)
+        when = f"{span.begin:.1f} to {span.end:.1f} s"
+        bars.append(f'<span style="flex-grow:{length:.2f}" title="{name}: {when}">{name}</span>')
+    return f'<div class="timeline">{"".join(bars)}</div>'
 
 
 def _events(ticks: Ticks) -> str:

@@ -166,7 +166,7 @@ def line_path(x: Array, y: Array, *, step: bool = False) -> str:
     """Return the path data of a line through (x, y), with gaps where one is not finite."""
     parts = []
     for first, last in _runs(np.isfinite(x) & np.isfinite(y)):
-        u, v = _thinned(x[first:last], y[first:last])
+        u, v = _thinned(x[first:last], y[first:last], len(x))
         if step and len(u) > 1:
             u, v = np.repeat(u, 2)[1:], np.repeat(v, 2)[:-1]
         parts.append("M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(u, v, strict=True)))
@@ -179,8 +179,8 @@ def area_path(x: Array, below: Array, above: Array) -> str:
     """Return the path data of the area between two lines, with gaps where one is not finite."""
     parts = []
     for first, last in _runs(np.isfinite(x) & np.isfinite(below) & np.isfinite(above)):
-        u, v = _thinned(x[first:last], above[first:last])
-        w, z = _thinned(x[first:last], below[first:last])
+        u, v = _thinned(x[first:last], above[first:last], len(x))
+        w, z = _thinned(x[first:last], below[first:last], len(x))
         outline = [*zip(u, v, strict=True), *zip(w[::-1], z[::-1], strict=True)]
         parts.append("M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in outline) + "Z")
     return "".join(parts)
@@ -206,11 +206,15 @@ def _runs(good: np.ndarray) -> Iterator[tuple[int, int]]:
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
-def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the lowest and highest point of each of some hundred groups, in order."""
-    if len(x) <= _MOST_POINTS:
+def _thinned(x: Array, y: Array, total: int) -> tuple[Array, Array]:
+    """Return the lowest and highest point of each group of points, in order.
+
+    There are some hundred groups among ``total`` points, of which these are a part.
+    """
+    groups = max(1, _MOST_POINTS * len(x) // (2 * total))
+    if total <= _MOST_POINTS or len(x) <= 2 * groups:
         return x, y
-    edges = np.linspace(0, len(x), _MOST_POINTS // 2 + 1).astype(int)
+    edges = np.linspace(0, len(x), groups + 1).astype(int)
     kept = {0, len(x) - 1}
     for first, last in pairwise(edges.tolist()):
         kept |= {first + int(y[first:last].argmin()), first + int(y[first:last].argmax())}
