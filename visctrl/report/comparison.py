@@ -13,14 +13,11 @@ from hal.types import Pose
 from robots.errors import InputError
 from visctrl.plugins import Array
 from visctrl.report.page import page, section, table, verdict
-from visctrl.report.run_report import RunFiles, final_error, read_run, save
+from visctrl.report.run_report import RunFiles, numbers, read_run, save
 from visctrl.report.svg import COLOURS, Chart, Line, draw_chart
 from visctrl.report.ticks import Ticks
 from visctrl.report.topview import DrivenPath, draw_paths
 from visctrl.runtime.records import COMPUTE
-
-_HEADER = ("run", "ended", "scheme", "backend", "camera", "seed", "final error", "path", "time")
-_COSTS = ("features, least", "tick, median / p99", "missed")
 
 
 def write_comparison(directories: Sequence[Path], target: Path) -> Path:
@@ -62,25 +59,20 @@ def _names(directories: Sequence[Path]) -> list[str]:
 
 
 def _table(named: Sequence[tuple[str, RunFiles]]) -> str:
+    described = [numbers(run.summary) for _, run in named]
+    columns = list(dict.fromkeys(name for row in described for name in row))
     rows = []
-    for k, (name, run) in enumerate(named):
-        summary = run.summary
-        compute, features = summary["compute_ms"], summary["features"]
-        cells = [
-            f'<span class="key c{k % COLOURS}"><i></i>{escape(name)}</span>',
-            f'<span title="{escape(summary["reason"])}">{verdict(summary["status"])}</span>',
-            *(escape(str(summary[key])) for key in ("scheme", "backend", "camera", "seed")),
-            final_error(summary),
-            f"{summary['path_length_m']:.2f} m",
-            f"{summary['duration_s']:.1f} s",
-            "" if features["min"] is None else f"{features['min']:g}",
-            ""
-            if compute["median"] is None
-            else f"{compute['median']:.1f} / {compute['p99']:.1f} ms",
-            f"{summary['missed_ticks']} of {summary['ticks']}",
-        ]
-        rows.append(cells)
-    return table((*_HEADER, *_COSTS), rows)
+    for k, ((name, run), row) in enumerate(zip(named, described, strict=True)):
+        reason = escape(run.summary.get("reason", ""))
+        rows.append(
+            [
+                f'<span class="key c{k % COLOURS}"><i></i>{escape(name)}</span>',
+                f'<span title="{reason}">{verdict(run.summary["status"])}</span>',
+                *(escape(str(run.config.get(key, ""))) for key in ("scheme", "backend", "seed")),
+                *(escape(row.get(column, "")) for column in columns),
+            ]
+        )
+    return table(("run", "ended", "scheme", "backend", "seed", *columns), rows)
 
 
 def _paths(named: Sequence[tuple[str, RunFiles]]) -> str:

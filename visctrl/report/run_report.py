@@ -52,7 +52,7 @@ class RunFiles:
     @property
     def scheme(self) -> str:
         """Scheme and backend in words."""
-        return f"{self.summary['scheme']} on {self.summary['backend']}"
+        return f"{self.config.get('scheme', '?')} on {self.config.get('backend', '?')}"
 
     def outline(self) -> Outline | None:
         """Return the robot's outline; None for a robot that is not known here."""
@@ -162,35 +162,34 @@ def _head(run: RunFiles) -> str:
     title = config.get("title") or run.scheme
     camera = config.get("camera", {})
     about = (
-        f"{summary['scheme']} scheme, backend {summary['backend']}, robot {summary['robot']}, "
-        f"camera {summary['camera']} {camera.get('width')}×{camera.get('height')} "
-        f"(mount {camera.get('mount')}), seed {summary['seed']}; "
+        f"{config.get('scheme')} scheme, backend {config.get('backend')}, robot "
+        f"{config.get('robot')}, camera {summary.get('camera')} {camera.get('width')}×"
+        f"{camera.get('height')} (mount {camera.get('mount')}), seed {config.get('seed')}; "
     )
     files = escape(str(run.directory.resolve().name))
     if (run.directory / VIDEO).exists():
         files += f', <a href="{VIDEO}">video</a>'
     return (
         f"<header><h1>{escape(title)}</h1><p>{verdict(summary['status'])} "
-        f"{escape(summary['reason'])}</p>"
-        f'<p class="lead">{escape(about)}run {files}</p>{tiles(_numbers(summary))}</header>'
+        f"{escape(summary.get('reason', ''))}</p>"
+        f'<p class="lead">{escape(about)}run {files}</p>{tiles(numbers(summary).items())}</header>'
     )
 
 
-def _numbers(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    compute, features = summary["compute_ms"], summary["features"]
-    numbers = [
-        ("final error", final_error(summary)),
-        ("path", f"{summary['path_length_m']:.2f} m"),
-        ("time", f"{summary['duration_s']:.1f} s"),
-        ("ticks", f"{summary['ticks']}, {summary['missed_ticks']} missed"),
-    ]
-    if compute["median"] is not None:
-        numbers.append(("tick, median / p99", f"{compute['median']:.1f} / {compute['p99']:.1f} ms"))
-    if features["median"] is not None:
-        numbers.append(
-            ("features, median / least", f"{features['median']:g} / {features['min']:g}")
-        )
-    return numbers
+def numbers(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return the outcome's numbers in words; a replay has fewer than a run."""
+    found = {}
+    if "path_length_m" in summary:
+        found["final error"] = final_error(summary)
+        found["path"] = f"{summary['path_length_m']:.2f} m"
+        found["time"] = f"{summary['duration_s']:.1f} s"
+        found["ticks"] = f"{summary['ticks']}, {summary['missed_ticks']} missed"
+    compute, features = summary.get("compute_ms", {}), summary.get("features", {})
+    if compute.get("median") is not None:
+        found["tick, median / p99"] = f"{compute['median']:.1f} / {compute['p99']:.1f} ms"
+    if features.get("median") is not None:
+        found["features, median / least"] = f"{features['median']:g} / {features['min']:g}"
+    return found
 
 
 def _pictures(directory: Path) -> str:
@@ -246,7 +245,9 @@ def _again(run: RunFiles) -> str:
         f"visctrl run {shlex.quote(str(run.directory))}        # from its run directory\n"
         f"visctrl run {CONFIG}        # from the configuration below, saved as {CONFIG}"
     )
-    versions = ", ".join(f"{name} {number}" for name, number in run.summary["versions"].items())
+    versions = ", ".join(
+        f"{name} {number}" for name, number in run.summary.get("versions", {}).items()
+    )
     return section(
         "Make it again",
         f"<pre>{escape(commands)}</pre><p>{download(CONFIG, config)}</p>"

@@ -81,6 +81,12 @@ class Pictures(Observer):
             save_picture(self._path / name, picture)
         return note
 
+    def report(self) -> None:
+        """Write the report, from the files of the run: all of them must have been written."""
+        from visctrl.report.run_report import write_report
+
+        write_report(self._path)
+
     def _finish_video(self) -> str:
         if self._video is None:
             return ""

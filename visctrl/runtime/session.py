@@ -313,18 +313,12 @@ class _Session:
         if end.details:
             self._attempt(files, lambda: directory.write_text(FAULT, end.details))
         self._attempt("pictures could not be drawn", self._draw)
-        if self._recorder is not None:
-            self._attempt("the report could not be written", self._report)
+        if self._recorder is not None and self._pictures is not None:
+            self._attempt("the report could not be written", self._pictures.report)
 
     def _draw(self) -> None:
         if self._pictures is not None and (note := self._pictures.finish()):
             self._notes.append(note)
-
-    def _report(self) -> None:
-        if self._directory is not None:
-            from visctrl.report.run_report import write_report
-
-            write_report(self._directory.path)
 
 
 def _call(who: str, work: Callable[[], T]) -> T:
