@@ -136,6 +136,8 @@ class Scenario(Document):
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 10.0
     seed: Annotated[int, Field(ge=0)] = 0
     realtime: bool = False
+    #: Keep every frame of the run, for ``visctrl replay``.
+    record_images: bool = False
     perception: PluginChoice = PluginChoice()
     estimator: PluginChoice = PluginChoice()
     controller: PluginChoice = PluginChoice()

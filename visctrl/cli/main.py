@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from visctrl.cli.hardware import add_hardware_commands
+from visctrl.cli.images import add_image_commands
 
 _INTERRUPTED = 130
 
@@ -138,6 +139,9 @@ def run_command(
         typer.Option(metavar="DIR", help="Run directory; runs/DATE-... if left out."),
     ] = None,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 as well.")] = False,
+    record_images: Annotated[
+        bool, typer.Option("--record-images", help="Keep every frame, for visctrl replay.")
+    ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="Show PyBullet's window (sim).")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary on stdout, and only that.")
@@ -167,6 +171,7 @@ def run_command(
         port=port,
         camera_url=camera_url,
         gui=gui,
+        record_images=record_images,
     )
     try:
         code = run(scenario, overrides, out, video=video, as_json=as_json, quiet=quiet)
@@ -226,3 +231,4 @@ def reproduce_command(
 
 
 add_hardware_commands(app)
+add_image_commands(app)

@@ -25,6 +25,7 @@ def flag_overrides(
     port: str | None = None,
     camera_url: str | None = None,
     gui: bool = False,
+    record_images: bool = False,
 ) -> list[Override]:
     """Return the overrides that options ask for: ``--set`` first, the others win over it."""
     x, y, phi = start or (None, None, None)
@@ -47,6 +48,7 @@ def flag_overrides(
         ("--port", "pioneer.port", port),
         ("--camera-url", "pioneer.camera.source", camera_url),
         ("--gui", "sim.gui", True if gui else None),
+        ("--record-images", "record_images", True if record_images else None),
     ]
     flags = [
         Override(tuple(key.split(".")), value, f"{option} {value}")

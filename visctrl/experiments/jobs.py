@@ -16,11 +16,14 @@ class Job:
     """One run: a scenario and settings laid over it, each as ``--set`` takes it.
 
     out : run directory, or None to keep only the summary.
+    image_motion : also keep where the features were in the image, in the run directory (see
+        `visctrl.experiments.image_motion`).
     """
 
     scenario: str
     settings: tuple[str, ...] = ()
     out: Path | None = None
+    image_motion: bool = False
 
 
 def run_job(job: Job) -> dict[str, Any]:
@@ -37,8 +40,15 @@ def run_job(job: Job) -> dict[str, Any]:
     from visctrl.runtime.session import run_session
 
     overrides = [parse_setting(text) for text in job.settings]
-    loaded = load_scenario(job.scenario, overrides, REGISTRIES.backends.known())
-    return run_session(make_plan(loaded), job.out).summary
+    plan = make_plan(load_scenario(job.scenario, overrides, REGISTRIES.backends.known()))
+    if not job.image_motion or job.out is None:
+        return run_session(plan, job.out).summary
+    from visctrl.experiments.image_motion import ImageMotion
+
+    motion = ImageMotion()
+    summary = run_session(plan, job.out, observers=[motion]).summary
+    motion.save(job.out)
+    return summary
 
 
 def run_jobs(

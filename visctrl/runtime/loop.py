@@ -238,7 +238,7 @@ class Loop:
         """Return what perception sees, or nothing where the frame is too old to be the present."""
         problem = self._guard.frame_problem(frame, self._backend.clock.now())
         if problem:
-            return _nothing_seen(frame, problem)
+            return nothing_seen(frame, problem)
         return self._call(
             f"perception '{self._perception_name}'", lambda: self._perception.update(frame)
         )
@@ -351,7 +351,8 @@ class _Turn:
         return STAGES[max(range(len(self.seconds)), key=self.seconds.__getitem__)]
 
 
-def _nothing_seen(frame: Frame, reason: str) -> Views:
+def nothing_seen(frame: Frame, reason: str) -> Views:
+    """Return the views of a frame that must not be used."""
     nothing = np.empty((0, 3))
     return Views(
         ids=np.empty(0, dtype=np.int64),

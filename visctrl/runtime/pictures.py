@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from hal.central_camera import CentralCamera
@@ -41,9 +42,9 @@ class Pictures(Observer):
 
         self._video = VideoWriter(self._path / VIDEO, self._camera, rate, lockstep=lockstep)
 
-    def on_target(self, frame: Frame) -> None:
-        """Keep the target view."""
-        self._target = frame
+    def on_target(self, frames: Sequence[Frame]) -> None:
+        """Keep a frame of the target view."""
+        self._target = frames[0]
 
     def on_initial(self, frame: Frame, match: Match) -> None:
         """Keep the newest initial view."""

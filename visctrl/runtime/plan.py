@@ -156,6 +156,11 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
     limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
     target = _at(loaded, ("target", "file"), lambda: _target(scenario.target.file, camera))
     ideal = getattr(backend_options, "ideal", False)
+    if scenario.record_images and backend.delivers_features:
+        raise InputError(
+            f"{loaded.origin_of('record_images')}: key 'record_images': backend "
+            f"'{scenario.backend}' takes no pictures"
+        )
     perception, approach, main = _plugins(loaded, registries, scheme, backend)
     return Plan(
         scenario=scenario,
@@ -178,7 +183,7 @@ def _plugins(
 ) -> tuple[Chosen[Perception[Any]], StagePlan | None, StagePlan]:
     scenario = loaded.scenario
     default = scheme.identified if backend.delivers_features else scheme.perception
-    perception = _choose(
+    perception = choose(
         loaded, registries.perception, scenario.perception, default, ("perception",)
     )
     main = _stage(
@@ -211,10 +216,10 @@ def _stage(
     path: tuple[str, ...],
 ) -> StagePlan:
     """Choose a stage's plugins and check that they fit each other."""
-    estimator = _choose(
+    estimator = choose(
         loaded, registries.estimators, estimator_choice, defaults[0], (*path, "estimator")
     )
-    controller = _choose(
+    controller = choose(
         loaded, registries.controllers, controller_choice, defaults[1], (*path, "controller")
     )
     given = estimate_type(estimator.cls)
@@ -228,13 +233,20 @@ def _stage(
     return StagePlan(estimator, controller)
 
 
-def _choose(
+def choose(
     loaded: LoadedScenario,
     registry: Registry[T],
     choice: PluginChoice,
     default: str,
     path: tuple[str, ...],
 ) -> Chosen[T]:
+    """Return the plugin that a choice names, or the default, with its options checked.
+
+    Raises
+    ------
+    InputError
+        No such plugin, or wrong options; the message names the file or option and the key.
+    """
     name = choice.name
     if name is not None:
         cls = _at(loaded, (*path, "name"), lambda: registry.load(name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ from visctrl.runtime.records import STAGES, Observer, TickRecord
 
 TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
 TARGET, INITIAL, FINAL, PLOTS = "target.png", "initial.png", "final.png", "plots.png"
-VIDEO, FAULT = "video.mp4", "fault.txt"
+VIDEO, FAULT, IMAGES = "video.mp4", "fault.txt", "images"
 FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, PLOTS, VIDEO, FAULT)
 
 _MS = 1000.0
@@ -64,6 +65,7 @@ class RunDirectory:
             path.mkdir(parents=True, exist_ok=True)
             for name in FILES:
                 (path / name).unlink(missing_ok=True)
+            shutil.rmtree(path / IMAGES, ignore_errors=True)
             (path / CONFIG).touch()
         except OSError as error:
             raise InputError(f"--out {path}: cannot be written to: {error.strerror}") from None
@@ -72,6 +74,7 @@ class RunDirectory:
         """Leave nothing behind: the run has not begun."""
         for name in FILES:
             (self.path / name).unlink(missing_ok=True)
+        shutil.rmtree(self.path / IMAGES, ignore_errors=True)
         if self._is_new:
             self.path.rmdir()
 
@@ -174,7 +177,9 @@ class Recorder(Observer):
             *(_MS * seconds for seconds in record.seconds),
         )
         self._rows.writerow((*_core(record), *map(signals.get, self._signals), *timing))
-        self._trajectory.write(_tum(record.t, record.truth or record.odometry.pose))
+        pose = record.truth or record.odometry.pose
+        if math.isfinite(pose.x):
+            self._trajectory.write(_tum(record.t, pose))
 
 
 def _signal_columns(plugins: Sequence[tuple[str, Plugin[Any]]]) -> dict[tuple[str, str], str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hal.types import Frame, Odometry, Pose, Velocity
@@ -56,8 +56,8 @@ class Observer:
     def on_message(self, text: str) -> None:
         """Hear that something begins which takes a while."""
 
-    def on_target(self, frame: Frame) -> None:
-        """Get the target view."""
+    def on_target(self, frames: Sequence[Frame]) -> None:
+        """Get the target view: one frame, or several of one pose."""
 
     def on_initial(self, frame: Frame, match: Match) -> None:
         """Get an initial view once it is matched."""

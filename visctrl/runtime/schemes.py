@@ -33,6 +33,9 @@ SCHEMES = {
         "epipolar control from three views", "epipoles", "epipolar-smooth", approach=False
     ),
     "trifocal": Scheme("1D trifocal tensor control", "tensor", "trifocal-smc"),
+    "trifocal2d": Scheme(
+        "2D trifocal tensor and pseudo-inverse control", "tensor2d", "trifocal2d", approach=False
+    ),
     "pose": Scheme(
         "pose estimation and Cartesian control",
         "transfer",

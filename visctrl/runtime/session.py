@@ -15,6 +15,7 @@ from hal.types import Pose
 from robots.errors import InputError, VisctrlError
 from visctrl.config import to_yaml
 from visctrl.plugins import Context, Perception, Plugin
+from visctrl.runtime.images import ImageRecorder
 from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
 from visctrl.runtime.pictures import Pictures
@@ -97,9 +98,13 @@ class _Session:
         self._observers: list[Observer] = [self._meter, *observers]
         self._recorder: Recorder | None = None
         self._pictures: Pictures | None = None
+        self._images: ImageRecorder | None = None
         if self._directory is not None:
             self._pictures = Pictures(plan.camera, self._directory)
             self._observers.append(self._pictures)
+            if plan.scenario.record_images:
+                self._images = ImageRecorder(self._directory.path, plan.camera)
+                self._observers.append(self._images)
         self._interrupts = Interrupts()
         self._tally = Tally()
         self._plugins: list[Plugin[Any]] = []
@@ -116,6 +121,8 @@ class _Session:
             except InputError:
                 if self._recorder is not None:
                     self._recorder.close()
+                if self._images is not None:
+                    self._images.close()
                 if self._directory is not None:
                     self._directory.discard()
                 raise
@@ -218,6 +225,8 @@ class _Session:
         for stage in stages:
             named.append((stage.estimator_name, stage.estimator))
             named.append((stage.controller_name, stage.controller))
+        if self._images is not None:
+            self._images.may_wait = lockstep
         self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
         self._recorder = Recorder(self._directory.path, named, lockstep=lockstep)
         self._observers.append(self._recorder)
@@ -233,7 +242,7 @@ class _Session:
             )
         _call(self._perceiver, lambda: perception.set_target(frames))
         for observer in self._observers:
-            observer.on_target(frames[0])
+            observer.on_target(frames)
 
     def _take_initial(self, backend: Backend, perception: Perception[Any]) -> None:
         self._tell("matching the initial view to the target")
@@ -284,6 +293,10 @@ class _Session:
             self._attempt("recording", self._recorder.close)
             if self._recorder.problem:
                 self._notes.append(self._recorder.problem)
+        if self._images is not None:
+            self._attempt("recording images", self._images.close)
+            if self._images.problem:
+                self._notes.append(self._images.problem)
         if self._directory is not None:
             self._write(self._directory, end, summary)
         if self._tally.missed:

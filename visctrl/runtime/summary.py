@@ -71,6 +71,12 @@ class Meter(Observer):
             self.path_length += math.dist(here, self._position)
         self._position = here
 
+    def few_features(self) -> dict[str, int | float | None]:
+        """Return the least and the median number of features in the main stage."""
+        if not len(self.features):
+            return {"min": None, "median": None}
+        return {"min": min(self.features), "median": float(np.median(self.features))}
+
     def compute(self) -> Sequence[float]:
         """Return what the plugins took, per tick (s)."""
         return list(map(sum, zip(*(self.parts[name] for name in COMPUTE), strict=True)))
@@ -134,11 +140,11 @@ def summarise(
         "period_s": plan.period_s,
         "ticks": tally.ticks,
         "missed_ticks": tally.missed,
-        "lateness_ms": _spread(meter.lateness),
-        "compute_ms": _spread(meter.compute()),
-        "stages_ms": {name: _spread(values) for name, values in meter.parts.items()},
+        "lateness_ms": spread_ms(meter.lateness),
+        "compute_ms": spread_ms(meter.compute()),
+        "stages_ms": {name: spread_ms(values) for name, values in meter.parts.items()},
         "real_time_factor": duration / wall if wall > 0.0 else None,
-        "features": _few(meter.features),
+        "features": meter.few_features(),
         "versions": versions(),
     }
 
@@ -155,15 +161,10 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _spread(seconds: Sequence[float]) -> dict[str, float | None]:
+def spread_ms(seconds: Sequence[float]) -> dict[str, float | None]:
+    """Return median, 99th percentile and maximum of durations, in ms; None without any."""
     if not len(seconds):
         return {"median": None, "p99": None, "max": None}
     ms = _MS * np.asarray(seconds, dtype=np.float64)
     median, p99 = np.percentile(ms, (50.0, 99.0))
     return {"median": float(median), "p99": float(p99), "max": float(ms.max())}
-
-
-def _few(counts: Sequence[int]) -> dict[str, int | float | None]:
-    if not len(counts):
-        return {"min": None, "median": None}
-    return {"min": min(counts), "median": float(np.median(counts))}

@@ -1,0 +1,106 @@
+"""``visctrl replay``: from options to a table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from robots.errors import InputError
+from visctrl.cli.run import RUNS
+from visctrl.config import Override, load_scenario
+from visctrl.runtime.images import TICK
+from visctrl.runtime.recording import Recording, open_recording
+from visctrl.runtime.records import Observer, TickRecord
+from visctrl.runtime.registry import REGISTRIES
+from visctrl.runtime.replay import load_for_replay, plan_replay, replay
+
+
+def replay_images(
+    source: Path,
+    overrides: Sequence[Override],
+    target: Path | None,
+    out: Path | None,
+    *,
+    video: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Replay images and report.
+
+    Raises
+    ------
+    InputError
+        Images or options cannot be used.
+    """
+
+    def rate_hz() -> float:
+        known = REGISTRIES.backends.known()
+        return load_scenario(overrides=overrides, backend_names=known).scenario.rate_hz
+
+    recording = open_recording(source, target, rate_hz)
+    if recording.camera is None and not any(o.path == ("camera", "name") for o in overrides):
+        raise InputError(f"{source}: say with --camera which camera took these images")
+    plan = plan_replay(load_for_replay(recording, overrides))
+    _distinct(source, out)
+    directory = out if out is not None else _fresh_directory(plan.perception.name)
+    console = Console(stderr=True)
+    with Progress(console=console, disable=quiet, transient=True) as bar:
+        watch = _Watch(bar, bar.add_task("replay", total=_ticks(recording)))
+        summary = replay(recording, plan, directory, video=video, observers=[watch])
+    if as_json:
+        print(json.dumps(summary, indent=2, allow_nan=False))
+    elif not quiet:
+        _show(summary, directory)
+
+
+class _Watch(Observer):
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task = bar, task
+
+    def on_tick(self, record: TickRecord) -> None:
+        self._bar.advance(self._task)
+
+
+def _ticks(recording: Recording) -> int:
+    return sum(shot.role == TICK for shot in recording.shots)
+
+
+def _distinct(source: Path, out: Path | None) -> None:
+    """Refuse to write over what is read."""
+    if out is not None and out.resolve() in (source.resolve(), source.resolve().parent):
+        raise InputError(f"--out {out}: this would replace the recording: choose another directory")
+
+
+def _fresh_directory(perception: str) -> Path:
+    stem = f"{datetime.now():%Y%m%d-%H%M%S}-replay-{perception}"
+    candidates = (RUNS / (stem if n == 1 else f"{stem}-{n}") for n in range(1, 1000))
+    return next(path for path in candidates if not path.exists())
+
+
+def _show(summary: Mapping[str, Any], directory: Path) -> None:
+    """Print the short table at the end of a replay."""
+    health, cost = summary["health"], summary["stages_ms"]
+    rows = [
+        ("plugins", f"{summary['perception']}, {summary['estimator']}"),
+        ("images", f"{sum(health['views'].values())}: views {_counts(health['views'])}"),
+        ("estimates", _counts(health["estimate"])),
+    ]
+    features = summary["features"]
+    if features["median"] is not None:
+        rows.append(("features", f"median {features['median']:g}, least {features['min']}"))
+    if cost["perception"]["median"] is not None:
+        times = ", ".join(f"{name} {value['median']:.1f} ms" for name, value in cost.items())
+        rows.append(("median cost", times))
+    rows.append(("files", str(directory)))
+    for name, text in rows:
+        print(f"{name:<12} {text}")
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in counts.items()) or "none"

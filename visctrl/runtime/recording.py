@@ -1,0 +1,286 @@
+"""Images to replay: those of a recorded run with what was sent meanwhile, or a plain folder."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.central_camera import CentralCamera
+from hal.types import STANDSTILL, Frame, Pose, Velocity
+from robots.errors import InputError
+from visctrl.runtime.images import CAMERA, HEADER, INDEX, INITIAL, TARGET, TICK
+from visctrl.runtime.recorder import CONFIG, IMAGES, TICKS
+from visctrl.target_view import load_target
+
+Grey = NDArray[np.uint8]
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
+#: Longer numbers in file names are times, which have gaps by nature.
+_MOST_DIGITS = 8
+_NOWHERE = Pose(math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What a run's log says about a tick; a folder of images knows next to nothing.
+
+    before : what had been sent when its frame was taken; sent : what was sent in this tick.
+    """
+
+    number: int
+    t: float
+    dt: float
+    stage: str = "main"
+    phase: str = ""
+    wanted: Velocity = STANDSTILL
+    before: Velocity = STANDSTILL
+    sent: Velocity = STANDSTILL
+    odometry: Pose = _NOWHERE
+    measured: Velocity = STANDSTILL
+    truth: Pose | None = None
+    battery_v: float | None = None
+    event: str = ""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One use of a frame.
+
+    role : ``target``, ``initial`` or ``tick``; ``driven`` is set for ticks only.
+    age : of the frame when its tick began (s).
+    """
+
+    role: str
+    sequence: int
+    stamp: float
+    age: float
+    path: Path
+    driven: Driven | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Images in the order of their use.
+
+    source : what the user named.
+    camera : file of the camera that took them, None if it is not known.
+    config : file of the run's configuration, None for a plain folder.
+    target : frames of the target view, read already; target_origin : where they came from.
+    shots : the others; the first is an initial view.
+    """
+
+    source: Path
+    camera: Path | None
+    config: Path | None
+    target: tuple[Frame, ...]
+    target_origin: Path
+    shots: tuple[Shot, ...]
+
+
+def open_recording(source: Path, target: Path | None, rate_hz: Callable[[], float]) -> Recording:
+    """Look at what there is to replay, and see that every file is there.
+
+    Parameters
+    ----------
+    source : Path
+        A run directory, its ``images`` folder, or a folder of images.
+    target : Path or None
+        An image or a file of ``visctrl teach`` to use as the target view instead of the run's
+        (of the last image, in a plain folder).
+    rate_hz : callable
+        Images a second in a plain folder; asked for only then.
+
+    Raises
+    ------
+    InputError
+        There are no images, or some are missing; the message names the first.
+    """
+    if not source.is_dir():
+        raise InputError(f"{source}: no such run directory or folder of images")
+    run = source.parent if (source / INDEX).exists() else source
+    if (run / IMAGES / INDEX).exists():
+        return _recorded_run(source, run, target)
+    if (run / CONFIG).exists():
+        raise InputError(
+            f"{source}: this run was recorded without images: run it again with --record-images"
+        )
+    return _plain_folder(source, target, rate_hz())
+
+
+def read_image(path: Path, camera: CentralCamera | None = None) -> Grey:
+    """Return an image file in grey (height, width).
+
+    Raises
+    ------
+    InputError
+        It is missing, no image, or of another size than the camera's.
+    """
+    import cv2
+
+    if not path.is_file():
+        raise InputError(f"{path}: the image is missing")
+    try:
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    if image is None:
+        raise InputError(f"{path}: not a readable image")
+    if camera is not None and image.shape != (camera.height, camera.width):
+        height, width = image.shape
+        raise InputError(
+            f"{path}: is {width}x{height}, but camera '{camera.name}' takes "
+            f"{camera.width}x{camera.height}"
+        )
+    return np.asarray(image, dtype=np.uint8)
+
+
+def image_files(folder: Path) -> list[Path]:
+    """Return the image files of a folder, numbers in their names in order of value."""
+    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    return sorted(files, key=lambda path: _natural(path.name))
+
+
+def _recorded_run(source: Path, run: Path, target: Path | None) -> Recording:
+    folder = run / IMAGES
+    log = _read_log(run / TICKS)
+    shots: list[Shot] = []
+    targets: list[Shot] = []
+    for row in _rows(folder / INDEX):
+        driven = log.get(row["tick"])
+        if row["role"] == TICK and driven is None:
+            continue  # The log ends before the images do: the run was cut short.
+        shot = Shot(
+            row["role"],
+            int(row["sequence"]),
+            float(row["stamp [s]"]),
+            float(row["age [s]"]),
+            folder / row["file"],
+            driven,
+        )
+        (targets if shot.role == TARGET else shots).append(shot)
+    if not shots or shots[0].role != INITIAL:
+        raise InputError(f"{folder / INDEX}: the run has no initial view: it ended before it began")
+    _all_there([shot.path for shot in (*targets, *shots)])
+    if target is None and not targets:
+        raise InputError(f"{folder / INDEX}: the run has no target view: give one with --target")
+    frames = _target_frames(target) if target else [_frame(shot) for shot in targets]
+    origin = target or targets[0].path
+    return Recording(source, folder / CAMERA, run / CONFIG, tuple(frames), origin, tuple(shots))
+
+
+def _plain_folder(folder: Path, target: Path | None, rate_hz: float) -> Recording:
+    files = image_files(folder)
+    if not files:
+        raise InputError(f"{folder}: no images here (looked for {', '.join(SUFFIXES)})")
+    if len(files) < 2:
+        raise InputError(f"{folder}: a sequence has two images or more, here is one")
+    _no_gaps(files)
+    origin = target or files[-1]
+    frames = _target_frames(origin)
+    period = 1.0 / rate_hz
+    shots = [Shot(INITIAL, 0, 0.0, 0.0, files[0])]
+    for i, path in enumerate(files):
+        shots.append(Shot(TICK, i, i * period, 0.0, path, Driven(i, i * period, period)))
+    return Recording(folder, None, None, tuple(frames), origin, tuple(shots))
+
+
+def _target_frames(path: Path) -> list[Frame]:
+    if path.suffix == ".npz":
+        return load_target(path).frames()
+    return [Frame(0.0, 0, read_image(path))]
+
+
+def _frame(shot: Shot) -> Frame:
+    return Frame(shot.stamp, shot.sequence, read_image(shot.path))
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    whole = [row for row in rows if None not in row.values()]
+    if whole and not set(HEADER) <= whole[0].keys():
+        raise InputError(f"{path}: is not a list of recorded images")
+    return whole
+
+
+def _read_log(path: Path) -> dict[str, Driven]:
+    """Return what was done in each tick, by its number."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [row for row in csv.DictReader(file) if None not in row.values()]
+        log: dict[str, Driven] = {}
+        before: Driven | None = None
+        for row in rows:
+            before = log[row["tick"]] = _driven(row, before)
+        return log
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{path}: is not a tick log: {error}") from None
+
+
+def _driven(row: dict[str, str], before: Driven | None) -> Driven:
+    def number(name: str) -> float:
+        return float(row[name])
+
+    truth = row["x_true [m]"] != ""
+    return Driven(
+        number=int(row["tick"]),
+        t=number("t [s]"),
+        dt=number("dt [s]"),
+        stage=row["stage"],
+        phase=row["phase"],
+        wanted=Velocity(number("v_wanted [m/s]"), number("omega_wanted [rad/s]")),
+        before=before.sent if before and before.stage == row["stage"] else STANDSTILL,
+        sent=Velocity(number("v_sent [m/s]"), number("omega_sent [rad/s]")),
+        odometry=Pose(*map(number, ("x_odometry [m]", "y_odometry [m]", "phi_odometry [rad]"))),
+        measured=Velocity(number("v_odometry [m/s]"), number("omega_odometry [rad/s]")),
+        truth=Pose(*map(number, ("x_true [m]", "y_true [m]", "phi_true [rad]"))) if truth else None,
+        battery_v=number("battery [V]") if row["battery [V]"] else None,
+        event=row["event"],
+    )
+
+
+def _all_there(paths: list[Path]) -> None:
+    missing = sorted({path for path in paths if not path.is_file()})
+    if missing:
+        more = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise InputError(f"{missing[0]}: the image is missing{more}")
+
+
+def _no_gaps(files: list[Path]) -> None:
+    """Refuse a numbered sequence from which images are missing."""
+    found = [re.fullmatch(r"(.*?)(\d+)", path.stem) for path in files]
+    parts = [match.groups() for match in found if match is not None]
+    if len(parts) < len(files) or len({prefix for prefix, _ in parts}) > 1:
+        return
+    if max(len(digits) for _, digits in parts) > _MOST_DIGITS:
+        return
+    numbers = [int(digits) for _, digits in parts]
+    steps = [b - a for a, b in pairwise(numbers)]
+    usual = Counter(steps).most_common(1)[0][0]
+    for (before, after), step in zip(pairwise(files), steps, strict=True):
+        if step != usual:
+            gap = f"between {before.name} and {after.name}"
+            raise InputError(
+                f"{before.parent}: images are missing {gap} (the others are {usual} apart): put "
+                "them back, or number the images without a gap"
+            )
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
