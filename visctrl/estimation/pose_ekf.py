@@ -123,8 +123,8 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
 
     Options: ClassVar[type[EkfOptions]] = EkfOptions
     signals: ClassVar[tuple[Signal, ...]] = (
-        Signal("nis", ""),
-        Signal("nis_dof", ""),
+        Signal("nis", "1"),
+        Signal("nis_dof", "1"),
         Signal("x", "m"),
         Signal("y", "m"),
         Signal("phi", "rad"),

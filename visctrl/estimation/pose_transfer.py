@@ -68,15 +68,15 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
 
     Options: ClassVar[type[TransferOptions]] = TransferOptions
     signals: ClassVar[tuple[Signal, ...]] = (
-        Signal("nis", ""),
-        Signal("nis_dof", ""),
+        Signal("nis", "1"),
+        Signal("nis_dof", "1"),
         Signal("x", "m"),
         Signal("y", "m"),
         Signal("phi", "rad"),
         Signal("x_sd", "m"),
         Signal("y_sd", "m"),
         Signal("phi_sd", "rad"),
-        Signal("features_used", ""),
+        Signal("features_used", "1"),
     )
 
     def __init__(self, options: TransferOptions, context: Context) -> None:
