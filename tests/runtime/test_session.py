@@ -93,7 +93,8 @@ def test_summary_has_exactly_the_keys_that_are_promised(toy_plan: MakePlan) -> N
     assert list(summary) == [
         *("status", "reason", "backend", "scheme", "robot", "camera", "seed", "final_error"),
         *("path_length_m", "duration_s", "period_s", "ticks", "missed_ticks", "lateness_ms"),
-        *("compute_ms", "stages_ms", "real_time_factor", "features", "versions"),
+        *("compute_ms", "stages_ms", "real_time_factor", "features", "consistency"),
+        "versions",
     ]
     assert set(summary["lateness_ms"]) == set(summary["compute_ms"]) == {"median", "p99", "max"}
     assert summary["period_s"] == 0.1
