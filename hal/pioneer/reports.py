@@ -66,8 +66,8 @@ def decode_identity(packet: Packet) -> Identity:
     ReportError
         It does not hold three strings.
     """
-    identity = Identity.decode(packet.data)
-    if packet.id != Type.SYNC2 or identity.subclass is None:
+    identity = Identity.decode(packet.data) if packet.id == Type.SYNC2 else None
+    if identity is None or identity.subclass is None:
         raise ReportError("the reply to SYNC2 does not name the robot")
     return identity
 
@@ -213,8 +213,8 @@ def decode_encoders(packet: Packet) -> Encoders:
     ReportError
         It is another packet, or too short.
     """
-    encoders = Encoders.decode(packet.data)
-    if packet.id != Type.ENCODER or encoders.right is None:
+    encoders = Encoders.decode(packet.data) if packet.id == Type.ENCODER else None
+    if encoders is None or encoders.right is None:
         raise ReportError("not an encoder report")
     return encoders
 
