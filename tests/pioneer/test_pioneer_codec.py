@@ -22,8 +22,10 @@ from hal.pioneer.reports import (
     ReportError,
     Tail,
     decode_encoders,
+    decode_gyro,
     decode_identity,
     decode_inputs,
+    decode_serial,
     decode_standard_report,
 )
 
@@ -231,6 +233,11 @@ def test_counts_beyond_the_packet_are_refused() -> None:
     with pytest.raises(ReportError, match="name"):
         decode_identity(Packet(2, b"AMRISim\0Pioneer\0p3dx"))
     assert decode_inputs(Inputs(b"\x01", b"", (1023,)).packet()).analog == (1023,)
+    with pytest.raises(ReportError, match="shorter"):
+        decode_gyro(Packet(0x98, bytes([2, 0, 0, 0, 0, 0])))
+    samples = decode_gyro(Packet(0x98, bytes([2, 0xFE, 0xFF, 40, 0x00, 0x02, 41])))
+    assert samples == ((-2, 40), (512, 41))
+    assert decode_serial(Packet(0xB8, b"abc")) == b"abc"
     assert Identity("a", "b", "c").encode() == b"a\0b\0c\0"
 
 

@@ -17,8 +17,10 @@ from hal.pioneer.reports import (
     ReportError,
     StandardReport,
     decode_encoders,
+    decode_gyro,
     decode_identity,
     decode_inputs,
+    decode_serial,
     decode_standard_report,
 )
 
@@ -32,6 +34,8 @@ DECODERS = (
     decode_encoders,
     decode_inputs,
     decode_identity,
+    decode_gyro,
+    decode_serial,
 )
 
 
