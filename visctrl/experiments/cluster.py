@@ -49,7 +49,7 @@ class ClusterWorkers:
                 "--cluster needs Dask's distributed: pip install 'visctrl[cluster]'"
             ) from None
         # Lost connections are reported below, in one line.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        logging.getLogger("distributed").handlers = [logging.NullHandler()]
         self._address = address
         try:
             connect: Any = distributed.Client
@@ -94,7 +94,10 @@ class ClusterWorkers:
                     tried = error.allowed_failures + 1
                     yield item, Died(f"{tried} workers in a row died while they ran it")
                 except CancelledError:
-                    raise ClusterError(f"the Dask scheduler at {self._address} is gone") from None
+                    raise ClusterError(
+                        f"the Dask scheduler at {self._address} is gone; what is finished is kept: "
+                        "the same command goes on from there"
+                    ) from None
                 else:
                     yield item, result
         finally:
