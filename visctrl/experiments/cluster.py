@@ -9,8 +9,9 @@ from typing import Any, TypeVar
 
 from hal.errors import DeviceError
 from robots.errors import InputError
-from visctrl.experiments.workers import Died, Results, limit_threads, stream
+from visctrl.experiments.workers import Died, Results, stream
 from visctrl.runtime.summary import versions
+from visctrl.threads import limit_all
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -106,7 +107,7 @@ class ClusterWorkers:
 
 def _worker_versions() -> dict[str, str]:
     """Return the versions on a worker, and keep it to one thread a run from here on."""
-    limit_threads()
+    limit_all()
     return versions()
 
 
