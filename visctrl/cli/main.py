@@ -10,6 +10,7 @@ import typer
 
 from visctrl.cli.hardware import add_hardware_commands
 from visctrl.cli.images import add_image_commands
+from visctrl.threads import limit_linear_algebra
 
 _INTERRUPTED = 130
 
@@ -24,6 +25,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; errors meant for the user become one message and an exit code."""
+    limit_linear_algebra()
     try:
         app()
     except Exception as error:
