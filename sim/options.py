@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from hal.actuation import ActuationOptions
 from hal.faults import Faults
 from robots.documents import Document
+from sim.scene_files import check_scene_name
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 
@@ -37,3 +38,8 @@ class SimOptions(Document):
     gui: bool = False
     actuation: ActuationOptions = ActuationOptions()
     faults: Faults = Faults()
+
+    @field_validator("scene")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        return check_scene_name(name)

@@ -7,9 +7,6 @@ an item counter-clockwise; at 0 its width runs along x.
 from __future__ import annotations
 
 import math
-from functools import cache
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated
 
@@ -20,8 +17,9 @@ from pydantic import Field, model_validator
 from hal.errors import InputError
 from hal.types import Pose
 from robots import Robot
-from robots.documents import Document, load, suggestion
+from robots.documents import Document, load
 from robots.unicycle import step_exact
+from sim.scene_files import check_scene_name, scene_folder
 from sim.textures import Kind
 
 Array = NDArray[np.float64]
@@ -169,28 +167,15 @@ def overlap(a: Array, b: Array) -> bool:
     return True
 
 
-def scene_folder() -> Traversable:
-    """Return the folder of this package's scenes (package data)."""
-    return resources.files("sim") / "scenes"
-
-
-@cache
-def scene_names() -> tuple[str, ...]:
-    """Return the names of the scenes that this package holds."""
-    files = (f.name for f in scene_folder().iterdir())
-    return tuple(sorted(f.removesuffix(".yaml") for f in files if f.endswith(".yaml")))
-
-
 def load_scene(name: str) -> Scene:
     """Return a scene by name, or from a file if ``name`` is a path that ends in ``.yaml``.
 
     Raises
     ------
     InputError
-        No such scene (the message lists those there are), or its file is wrong.
+        No such scene (see `check_scene_name`), or its file is wrong.
     """
+    check_scene_name(name)
     if name.endswith((".yaml", ".yml")):
         return load(Path(name), Scene)
-    if name not in scene_names():
-        raise InputError(f"unknown scene '{name}'; {suggestion(name, scene_names())}")
     return load(scene_folder() / f"{name}.yaml", Scene)

@@ -8,6 +8,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from urllib.parse import urlsplit
 
 import serial
 
@@ -19,6 +20,8 @@ from hal.pioneer.packet import Packet, StreamDecoder
 #: Least time between two commands (s). The firmware reads one per millisecond interrupt and the
 #: manual asks for 3 to 5 ms; the margin covers what the way to the robot adds or takes.
 SPACING_S = 0.006
+#: After such a pause (s) the firmware may have stopped by itself, with its old set-points kept.
+PAUSE_S = 1.0
 #: Longest wait for bytes (s): how late other work of the reading thread can be.
 READ_TIMEOUT_S = 0.02
 # pyserial also counts the time that this process is not scheduled.
@@ -57,6 +60,8 @@ class Link:
         self._sending = threading.Lock()
         #: When the last command went out (s).
         self.last_sent = float("-inf")
+        #: What the robot must hear first after a pause of more than `PAUSE_S`.
+        self.after_pause: tuple[Command, ...] = ()
 
     def open(self) -> None:
         """Open the port, for this process only.
@@ -66,6 +71,8 @@ class Link:
         LinkError
             There is no such port, it is busy, or not allowed; the message says what to do.
         """
+        if self.url.startswith("socket://") and not _has_port(self.url):
+            raise LinkError(f"port {self.url}: expected socket://HOST:PORT")
         try:
             self._port = serial.serial_for_url(
                 self.url,
@@ -104,21 +111,37 @@ class Link:
             port.reset_input_buffer()
         self._decoder = StreamDecoder()
 
-    def send(self, *commands: Command) -> None:
+    def send(self, *commands: Command) -> bool:
         """Send commands, no closer together than the firmware can take them.
+
+        After a pause, `after_pause` goes first, and all of ``commands`` behind it, even if the
+        process was held up in the middle of them. Return whether that was so.
 
         Raises
         ------
         LinkError
             The port is gone or does not take bytes.
         """
-        for command in commands:
-            data = command.encode()
-            with self._sending:
+        paused = False
+        with self._sending:
+            sent = 0
+            while sent < len(commands):
                 self._clock.sleep_until(self.last_sent + SPACING_S)
-                with self._guarded() as port:
-                    port.write(data)
-                self.last_sent = self._clock.now()
+                if self.after_pause and self._clock.now() - self.last_sent > PAUSE_S:
+                    paused, sent = True, 0
+                    for command in self.after_pause:
+                        self._write(command)
+                else:
+                    self._write(commands[sent])
+                    sent += 1
+        return paused
+
+    def _write(self, command: Command) -> None:
+        data = command.encode()
+        self._clock.sleep_until(self.last_sent + SPACING_S)
+        with self._guarded() as port:
+            port.write(data)
+        self.last_sent = self._clock.now()
 
     def receive(self) -> list[Packet]:
         """Return the packets that have arrived; wait shortly if there is nothing.
@@ -154,6 +177,13 @@ class Link:
             raise LinkError(f"port {self.url} failed: {_why(error)}") from error
 
 
+def _has_port(url: str) -> bool:
+    try:
+        return urlsplit(url).port is not None
+    except ValueError:
+        return False
+
+
 def _send_at_once(port: serial.Serial) -> None:
     """Keep TCP from collecting commands into bursts, which would undo their spacing."""
     connection = getattr(port, "_socket", None)
@@ -171,6 +201,8 @@ def _why(error: Exception) -> str:
         return "permission denied; join the group that owns it (often 'dialout') and log in again"
     if "exclusively lock" in text or number == errno.EBUSY:
         return "it is in use by another process"
+    if number == errno.EISDIR or "configure port" in text:
+        return "it is no serial port"
     if number in _HANG_UPS or any(sign in text for sign in _HANG_UP_SIGNS):
         return "the other end has hung up"
     return text or type(error).__name__

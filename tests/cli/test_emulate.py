@@ -20,10 +20,10 @@ from hal.types import Velocity
 from robots import load_robot
 from visctrl.cli.main import main
 
-pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.realtime
 def test_emulator_serves_a_driver_and_keeps_a_log(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     options = ["--camera", "none", "--port", "socket:0", "--robot", "p3at-sh", "--log", str(log)]
@@ -70,6 +70,15 @@ def test_emulator_serves_a_driver_and_keeps_a_log(tmp_path: Path) -> None:
     ("options", "says"),
     [
         (["--robot", "p3dy"], "unknown robot 'p3dy'"),
+        (["--fps", "0"], "--fps 0: at most 200"),
+        (["--fps", "nan"], "--fps nan"),
+        (["--width", "-3"], "Invalid value for '--width'"),
+        (["--stream-port", "70000"], "Invalid value for '--stream-port'"),
+        (["--port", "socket:70000"], "TCP ports end at 65535"),
+        (["--slip", "nan", "0"], "--slip nan 0"),
+        (["--start", "nan", "0", "0"], "--start nan 0 0"),
+        (["--fault", "lost=5"], "its value lies between 0 and 1"),
+        (["--fault", "reset=3"], "between 254 and 255"),
         (["--port", "serial"], "expected pty, socket or socket:PORT"),
         (["--fault", "stal@3"], "did you mean 'stall'"),
         (["--personality", "x"], "unknown personality 'x'; known: arcos, simulator"),

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from hal.errors import InputError
 from hal.types import Pose
 from robots import Robot, load_robot, robot_names
-from sim.scene import Item, Room, Scene, load_scene, overlap, rectangle, robot_outline, scene_names
+from sim.options import SimOptions
+from sim.scene import Item, Room, Scene, load_scene, overlap, rectangle, robot_outline
+from sim.scene_files import scene_names
 from sim.surfaces import surfaces
 
 HALL = load_scene("hall")
@@ -138,6 +141,11 @@ def test_an_unknown_scene_comes_with_the_known_ones() -> None:
     assert "hall" in scene_names()
     with pytest.raises(InputError, match=r"unknown scene 'hal'.*did you mean 'hall'"):
         load_scene("hal")
+
+
+def test_an_unknown_scene_is_refused_with_its_key() -> None:
+    with pytest.raises(ValidationError, match=r"(?s)scene.*did you mean 'hall'"):
+        SimOptions(scene="hal")
 
 
 def test_a_scene_may_be_a_file_of_ones_own(tmp_path: Path) -> None:

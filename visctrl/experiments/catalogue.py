@@ -86,6 +86,36 @@ _ENTRIES = (
         "the epipolar robot experiment on the simulator, rendered images",
         "visctrl.experiments.epipolar:robot_2_15",
     ),
+    Entry(
+        "table-3.1",
+        "trifocal control from four starts, and with 1 px noise (its bound is the project's own)",
+        "visctrl.experiments.trifocal:table_3_1",
+    ),
+    Entry(
+        "fig-3.3",
+        "trifocal control: paths, states, tensor elements and inputs of the four starts",
+        "visctrl.experiments.trifocal:figure_3_3",
+    ),
+    Entry(
+        "fig-3.6",
+        "trifocal control with each omnidirectional camera: motion of the features",
+        "visctrl.experiments.trifocal:figure_3_6",
+    ),
+    Entry(
+        "fig-3.7",
+        "trifocal control with 1 px noise, 20 seeds (bounds are the project's own)",
+        "visctrl.experiments.trifocal:figure_3_7",
+    ),
+    Entry(
+        "trifocal-2d",
+        "the earlier scheme on the 2D tensor against the 1D tensor (bounds are the project's own)",
+        "visctrl.experiments.trifocal:earlier_scheme",
+    ),
+    Entry(
+        "robot-3.14",
+        "the trifocal robot experiment on the simulator (bounds are the project's own)",
+        "visctrl.experiments.trifocal:robot_3_14",
+    ),
 )
 ENTRIES = {entry.name: entry for entry in _ENTRIES}
 

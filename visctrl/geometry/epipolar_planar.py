@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrap_angle
-from visctrl.geometry.planar import PlanarMotion, signed_parallax
+from visctrl.geometry.planar import PlanarMotion, meeting
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -40,6 +40,32 @@ _NEAREST = 10.0
 _MAX_NOISE = 10.0
 #: Hypotheses that are refined before the best is chosen.
 _FINALISTS = 4
+#: Newton steps on the best of them, at most, and those that allow for a poor start.
+_STEPS, _WIDE_STEPS = 8, 3
+#: A low quantile of the squared residuals, few outliers reaching it, and a normal variance's own.
+_QUANTILE, _NORMAL_QUANTILE = 0.3, 0.1485
+#: A step of m shorter than this part of a coordinate's noise ends a descent.
+_STILL = 1e-3
+#: Squared residuals over what noise explains from which a start is far off.
+_FAR_OFF = 2.0
+
+_DIAGONAL = np.arange(4)
+_DAMPING = 1e-9 * np.eye(4)
+
+
+def _quadratic_form() -> Array:
+    """Return the Q of `_Pair` (4, 4, 5) by the spans that its elements are made of."""
+    Q = np.zeros((4, 4, 5))
+    Q[0, 0, 0] = Q[1, 1, 2] = Q[2, 2, 3] = Q[3, 3, 2] = 1.0
+    Q[0, 1, 1] = Q[1, 0, 1] = Q[2, 3, 4] = Q[3, 2, 4] = -1.0
+    return Q
+
+
+#: Q m, flat, from m.
+_SPREAD = _quadratic_form().reshape(4, 20)
+#: mᵀ Q m from the products of m's elements that it contains.
+_FIRST, _SECOND = np.nonzero(_quadratic_form().any(axis=-1))
+_SUMMED = _quadratic_form()[_FIRST, _SECOND]
 
 
 @dataclass(frozen=True)
@@ -90,23 +116,57 @@ def sampson_residuals(
 
     To first order a residual has the standard deviation of one image coordinate.
     """
-    xa, ya = np.asarray(points_a, dtype=np.float64).T
-    xb, yb = np.asarray(points_b, dtype=np.float64).T
-    m = np.asarray(m, dtype=np.float64)
-    ca, sa, cb, sb = (m[..., k, None] for k in range(4))
-    across_a, across_b = xa * ca - sa, xb * cb - sb
-    along_a, along_b = yb * ca, ya * cb
-    variance = along_a**2 + along_b**2 + across_a**2 + across_b**2
-    scale = 1.0 / np.sqrt(np.maximum(variance, 1e-18))
-    residual = (yb * across_a - ya * across_b) * scale
-    change = residual * scale
-    jacobian = np.empty((*residual.shape[:-1], 4, residual.shape[-1]))
-    jacobian[..., 0, :] = xa * (yb - change * across_a) - change * yb * along_a
-    jacobian[..., 1, :] = change * across_a - yb
-    jacobian[..., 2, :] = -xb * (ya + change * across_b) - change * ya * along_b
-    jacobian[..., 3, :] = change * across_b + ya
-    jacobian *= scale[..., None, :]
-    return residual, jacobian
+    pair = _Pair.of(np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64))
+    return pair.residuals(np.asarray(m, dtype=np.float64))
+
+
+class _Pair:
+    """Points of two views, and the products of their coordinates that everything is made of.
+
+    Noise of the points gives a row of the constraint times m the variance mᵀ Q m σ² with
+    Q = [A, −x_a; −x_a, 1] ⊕ [B, −x_b; −x_b, 1], A = x_a² + y_b², B = x_b² + y_a².
+
+    rows : (4, N), the constraint's coefficients of m.
+    spans : (5, N), A, x_a, 1, B and x_b.
+    """
+
+    def __init__(self, a: Array, b: Array, rows: Array, spans: Array) -> None:
+        self.a, self.b = a, b
+        self.rows, self.spans = rows, spans
+
+    @classmethod
+    def of(cls, a: Array, b: Array) -> _Pair:
+        xa, ya, xb, yb = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
+        rows = np.stack([yb * xa, -yb, -ya * xb, ya])
+        spans = np.stack([xa * xa + yb * yb, xa, np.ones(len(a)), xb * xb + ya * ya, xb])
+        return cls(a, b, rows, spans)
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    def at(self, inside: Mask) -> _Pair:
+        """Return some of the features."""
+        if inside.all():
+            return self
+        return _Pair(self.a[inside], self.b[inside], self.rows[:, inside], self.spans[:, inside])
+
+    def noise(self, m: Array) -> Array:
+        """Return the variance (H, N) of the rows times m (H, 4), in σ²."""
+        products = (m[:, _FIRST] * m[:, _SECOND]) @ _SUMMED
+        return np.asarray(np.maximum(products @ self.spans, 1e-18))
+
+    def squared(self, m: Array) -> Array:
+        """Return squared Sampson residuals (H, N) for hypotheses m (H, 4)."""
+        return np.asarray((m @ self.rows) ** 2 / self.noise(m))
+
+    def residuals(self, m: Array) -> tuple[Array, Array]:
+        """Return Sampson residuals (..., N) for m (..., 4), and their derivatives (..., 4, N)."""
+        spread = (m @ _SPREAD).reshape(*m.shape, 5) @ self.spans
+        variance = np.maximum((m[..., None, :] @ spread)[..., 0, :], 1e-18)
+        scale = 1.0 / np.sqrt(variance)
+        error = m @ self.rows
+        jacobian = self.rows - (error / variance)[..., None, :] * spread
+        return error * scale, jacobian * scale[..., None, :]
 
 
 def ransac_planar_epipoles(
@@ -136,16 +196,16 @@ def ransac_planar_epipoles(
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
     if len(a) < MINIMUM_FEATURES:
         return _lost(len(a), f"too few features: {len(a)}, {MINIMUM_FEATURES} are needed")
-    m = null_vectors(constraint_rows(a, b)[_samples(len(a), hypotheses, seed)])
-    limit = threshold_sigmas * sigma
-    cost = np.minimum(_squared_residuals(a, b, m), limit**2).sum(axis=-1)
+    pair = _Pair.of(a, b)
+    m = null_vectors(pair.rows.T[_samples(len(a), hypotheses, seed)])
+    limit2 = (threshold_sigmas * sigma) ** 2
+    cost = np.minimum(pair.squared(m), limit2).sum(axis=-1)
     best = m[np.argpartition(cost, _FINALISTS)[:_FINALISTS]]
-    best = _descend(a, b, best, _squared_residuals(a, b, best) < limit**2, sigma, iterations=2)
-    squared = _squared_residuals(a, b, best)
-    winner = int(np.argmin(np.minimum(squared, limit**2).sum(axis=-1)))
-    forward, plausible = _directed(a, b, best[winner], sigma)
-    near = plausible & (squared[winner] < limit**2)
-    return _settle(a, b, forward, near, plausible, sigma, limit)
+    best = _descend(pair, best, np.ones(len(a), dtype=np.bool_), sigma, limit2, steps=2)
+    squared = pair.squared(best)
+    winner = int(np.argmin(np.minimum(squared, limit2).sum(axis=-1)))
+    forward, plausible = _directed(pair, best[winner], sigma)
+    return _settle(pair, forward, plausible, sigma, limit2)
 
 
 def refine_planar_epipoles(
@@ -165,12 +225,12 @@ def refine_planar_epipoles(
     """
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
     m = np.asarray(start, dtype=np.float64)
-    limit = threshold_sigmas * sigma
+    limit2 = (threshold_sigmas * sigma) ** 2
     if len(a) < MINIMUM_FEATURES:
         return _lost(len(a), f"too few features: {len(a)}, {MINIMUM_FEATURES} are needed")
-    forward, plausible = _directed(a, b, m, sigma)
-    near = plausible & (_squared_residuals(a, b, m[None])[0] < (2.0 * limit) ** 2)
-    return _settle(a, b, forward, near, plausible, sigma, limit)
+    pair = _Pair.of(a, b)
+    forward, plausible = _directed(pair, m, sigma)
+    return _settle(pair, forward, plausible, sigma, limit2)
 
 
 def turned(m: ArrayLike, turn_a: float = 0.0, turn_b: float = 0.0) -> Array:
@@ -185,19 +245,16 @@ def turned(m: ArrayLike, turn_a: float = 0.0, turn_b: float = 0.0) -> Array:
 
 
 def _settle(
-    a: Array, b: Array, m: Array, near: Mask, plausible: Mask, sigma: float, limit: float
+    pair: _Pair, start: Array, plausible: Mask, sigma: float, limit2: float
 ) -> PlanarEpipoles:
-    """Refine m on the features ``near`` it and judge the result on all ``plausible`` ones."""
-    final, inliers = m[None], near
-    for iterations in (3, 2):
-        if int(inliers.sum()) >= MINIMUM_FEATURES:
-            final = _descend(a, b, final, inliers, sigma, iterations)
-            inliers = plausible & (_squared_residuals(a, b, final)[0] < limit**2)
-    count = int(inliers.sum())
+    """Refine a start on the ``plausible`` features and judge the result."""
+    m = _descend(pair, start[None], plausible, sigma, limit2)
+    inliers = plausible & (pair.squared(m)[0] < limit2)
+    count = int(np.count_nonzero(inliers))
     if count < MINIMUM_FEATURES:
-        found = f"{count} of {len(a)} features fit one motion, {MINIMUM_FEATURES} are needed"
-        return _lost(len(a), f"no agreement: {found}")
-    return _finish(a, b, final[0], inliers, sigma)
+        found = f"{count} of {len(pair)} features fit one motion, {MINIMUM_FEATURES} are needed"
+        return _lost(len(pair), f"no agreement: {found}")
+    return _finish(pair.at(inliers), m[0], inliers, sigma)
 
 
 def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
@@ -211,31 +268,37 @@ def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
     return np.stack([first, (first + step) % count, (first + other) % count], axis=-1)
 
 
-def _squared_residuals(a: Array, b: Array, m: Array) -> Array:
-    """Return squared Sampson residuals (H, N) for hypotheses (H, 4)."""
-    across_a = np.outer(m[:, 0], a[:, 0]) - m[:, 1:2]
-    across_b = np.outer(m[:, 2], b[:, 0]) - m[:, 3:4]
-    error = b[:, 1] * across_a - a[:, 1] * across_b
-    variance = np.outer(m[:, 0] ** 2, b[:, 1] ** 2) + np.outer(m[:, 2] ** 2, a[:, 1] ** 2)
-    variance += across_a**2 + across_b**2
-    return np.asarray(error * error / np.maximum(variance, 1e-18))
+def _descend(
+    pair: _Pair, m: Array, usable: Mask, sigma: float, limit2: float, steps: int = _STEPS
+) -> Array:
+    """Return the m (H, 4) after soft-L1 Newton steps on the ``usable`` features.
 
-
-def _descend(a: Array, b: Array, m: Array, inside: Mask, sigma: float, iterations: int) -> Array:
-    """Return the m (H, 4) after soft-L1 Gauss–Newton steps on the features ``inside``."""
-    for _ in range(iterations):
-        residual, jacobian = sampson_residuals(a, b, m)
-        weighted = (inside * _weights(residual / sigma))[:, None, :] * jacobian
-        H = weighted @ np.swapaxes(jacobian, -1, -2)
-        gradient = weighted @ residual[..., None]
+    Where most features are off by more than ``sigma``, that is taken for the noise at first: a
+    limit of the true one would keep a poor start on the few features that agree with it.
+    """
+    low = int(_QUANTILE * len(pair))
+    for number in range(steps):
+        residual, jacobian = pair.residuals(m)
+        squared = residual * residual
+        usual2 = np.partition(squared, low, axis=-1)[:, low, None] / _NORMAL_QUANTILE
+        wider2 = np.maximum(1.0, usual2 / sigma**2 if number < _WIDE_STEPS else 1.0)
+        weights = _weights(residual / (sigma * np.sqrt(wider2)))
+        weights *= usable & (squared < limit2 * wider2)
+        gradient = jacobian @ (weights * residual)[..., None]
+        # The kernel's own curvature, w³, makes it a Newton step; far off that would overshoot.
+        least = np.where(wider2 > _FAR_OFF, 1.0, 0.5)
+        curvature = weights * np.maximum(weights * weights, least)
+        H = (curvature[:, None, :] * jacobian) @ np.swapaxes(jacobian, -1, -2)
         # The length of m is free: a stiffness along m itself keeps H regular. The rest of the
         # damping bounds the step along a direction without information.
-        size = np.maximum(np.trace(H, axis1=-2, axis2=-1), 1e-12)[:, None, None]
-        H += (m[:, :, None] * m[:, None, :] + 1e-9 * np.eye(4)) * size
-        step = -np.linalg.solve(H, gradient)[..., 0]
-        length = np.linalg.norm(step, axis=-1, keepdims=True)
-        m = m + step * np.minimum(1.0, 0.3 / np.maximum(length, 1e-12))
-        m = m / np.linalg.norm(m, axis=-1, keepdims=True)
+        size = np.maximum(H[:, _DIAGONAL, _DIAGONAL].sum(axis=-1), 1e-12)[:, None, None]
+        H += (m[:, :, None] * m[:, None, :] + _DAMPING) * size
+        step = np.linalg.solve(H, gradient)[..., 0]
+        length = np.sqrt(np.sum(step * step, axis=-1, keepdims=True))
+        m = m - step * np.minimum(1.0, 0.3 / np.maximum(length, 1e-12))
+        m = m / np.sqrt(np.sum(m * m, axis=-1, keepdims=True))
+        if length.max() < _STILL * sigma:
+            break
     return m
 
 
@@ -243,13 +306,12 @@ def _weights(scaled: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2))
 
 
-def _finish(a: Array, b: Array, m: Array, inliers: Mask, sigma: float) -> PlanarEpipoles:
-    a, b = a[inliers], b[inliers]
-    residual, jacobian = sampson_residuals(a, b, m)
+def _finish(pair: _Pair, m: Array, inliers: Mask, sigma: float) -> PlanarEpipoles:
+    residual, jacobian = pair.residuals(m)
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
-    spread = max(1.0, 1.4826 * float(np.median(np.abs(residual))) / sigma)
+    spread = max(1.0, 1.4826 * _median(np.abs(residual)) / sigma)
     weights = _weights(residual / sigma)
-    covariance, reason = _covariance(a, b, m, jacobian, weights, sigma * spread)
+    covariance, reason = _covariance(pair, m, jacobian, weights, sigma * spread)
     direction, bearing_b = _bearings(m)
     health = Health.DEGENERATE if reason else Health.OK
     phi = float(wrap_angle(bearing_b - direction))
@@ -261,47 +323,45 @@ def _bearings(m: Array) -> tuple[float, float]:
     return float(np.arctan2(m[1], m[0])), float(np.arctan2(m[3], m[2]))
 
 
-def _directed(a: Array, b: Array, m: Array, sigma: float) -> tuple[Array, Mask]:
+def _directed(pair: _Pair, m: Array, sigma: float) -> tuple[Array, Mask]:
     """Return m or −m, whichever puts the points in front of the views, and who agrees.
 
     A feature agrees when its parallax is one that a point of the scene can have. An outlier that
     happens to lie near its epipolar plane passes the residual test, and with a short baseline
     its huge parallax would outweigh all others.
     """
-    direction, bearing_b = _bearings(m)
-    parallax = signed_parallax(_rays(a), _rays(b), bearing_b - direction, direction)
+    parallax = meeting(_in_baseline_axes(pair.a, m[0], m[1]), _in_baseline_axes(pair.b, m[2], m[3]))
     # Far points vote with less weight, gross errors with no more than a good point.
     sense = 1.0 if float(np.tanh(parallax / (3.0 * sigma)).sum()) >= 0.0 else -1.0
     forward = parallax * sense
     noise = 8.0 * sigma
-    usual = float(np.median(np.abs(forward)))
+    usual = _median(np.abs(forward))
     plausible = (forward > -noise) & (forward < max(_NEAREST * usual, noise))
     return sense * m, np.asarray(plausible)
 
 
 def _covariance(
-    a: Array, b: Array, m: Array, jacobian: Array, weights: Array, sigma: float
+    pair: _Pair, m: Array, jacobian: Array, weights: Array, sigma: float
 ) -> tuple[Array, str]:
     """Return the covariance (2, 2) of (phi, direction) and the name of the degeneracy, if any.
 
     With a short baseline, noise alone makes the rows of the constraint differ; its share is
     taken out of the information, or an undetermined direction would look known.
     """
-    basis = np.linalg.svd(m[None, :])[2][1:].T
-    noise = _row_noise(a, b, m, basis)
+    basis = _complement(m)
+    own = pair.noise(m[None])
     # Features close to both the baseline and the horizon have rows of nothing but noise.
-    loudness = np.trace(noise, axis1=1, axis2=2)
-    weights = np.where(loudness < _MAX_NOISE * np.median(loudness), weights, 0.0)
-    noise *= weights[:, None, None]
-    J = basis.T @ jacobian
-    info = (weights * J) @ J.T
-    values, vectors = np.linalg.eigh(info)
-    shares = sigma**2 * np.einsum("ik,...ij,jk->...k", vectors, noise, vectors)
-    clear = values - shares.sum(axis=0)
-    determined = clear > _SIGNIFICANCE * np.sqrt(2.0 * (shares**2).sum(axis=0))
+    loudness = pair.noise(basis).sum(axis=0) / own[0]
+    weights = np.where(loudness < _MAX_NOISE * _median(loudness), weights, 0.0)
+    J = basis @ jacobian
+    values, vectors = np.linalg.eigh((weights * J) @ J.T)
+    axes = vectors.T @ basis
+    shares = sigma**2 * weights * pair.noise(axes) / own
+    clear = values - shares.sum(axis=1)
+    determined = clear > _SIGNIFICANCE * np.sqrt(2.0 * (shares**2).sum(axis=1))
     # Of an undetermined direction of the unit vector m nothing is known.
     variances = np.where(determined, sigma**2 / np.maximum(clear, 1e-300), 1.0)
-    cov_m = basis @ (vectors * variances) @ vectors.T @ basis.T
+    cov_m = (axes.T * variances) @ axes
     by_direction = np.array([-m[1], m[0], 0.0, 0.0]) / (m[0] ** 2 + m[1] ** 2)
     by_bearing_b = np.array([0.0, 0.0, -m[3], m[2]]) / (m[2] ** 2 + m[3] ** 2)
     G = np.stack([by_bearing_b - by_direction, by_direction])
@@ -313,29 +373,25 @@ def _covariance(
     return covariance, ""
 
 
-def _row_noise(a: Array, b: Array, m: Array, basis: Array) -> Array:
-    """Return the share (N, 3, 3) of each feature in the information that is noise, over σ²."""
-    one, zero = np.ones(len(a)), np.zeros(len(a))
-    xa, ya, xb, yb = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
-    by_noise = np.stack(
-        [
-            np.stack([yb, zero, zero, zero], -1),
-            np.stack([zero, zero, -xb, one], -1),
-            np.stack([zero, zero, -ya, zero], -1),
-            np.stack([xa, -one, zero, zero], -1),
-        ],
-        axis=1,
-    )
-    variance = np.sum((by_noise @ m) ** 2, axis=1)
-    inside = by_noise @ basis
-    share = np.swapaxes(inside, 1, 2) @ inside
-    return np.asarray(share / np.maximum(variance, 1e-18)[:, None, None])
+def _complement(m: Array) -> Array:
+    """Return three orthonormal vectors (3, 4) orthogonal to the unit vector m (4,)."""
+    p, q, r, s = (float(value) for value in m)
+    return np.array([[-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
 
 
-def _rays(points: Array) -> Array:
-    """Return unit rays (N, 3) as (right, forward, up) of image points (N, 2)."""
-    rays = np.stack([points[:, 0], np.ones(len(points)), points[:, 1]], axis=-1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+def _in_baseline_axes(points: Array, c: float, s: float) -> Array:
+    """Return unit rays (3, N) of image points (N, 2): along, across and above the baseline."""
+    x, y = points.T
+    scale = 1.0 / np.sqrt(1.0 + x**2 + y**2)
+    length = max(float(np.hypot(c, s)), 1e-300)
+    c, s = c / length, s / length
+    return np.stack([scale * (c + s * x), scale * (c * x - s), scale * y])
+
+
+def _median(values: Array) -> float:
+    """Return the (upper) median of values (N,): a sort less than NumPy's."""
+    middle = len(values) // 2
+    return float(np.partition(values, middle)[middle])
 
 
 def _lost(count: int, reason: str) -> PlanarEpipoles:

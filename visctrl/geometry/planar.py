@@ -337,13 +337,29 @@ def signed_parallax(rays_a: ArrayLike, rays_b: ArrayLike, phi: float, direction:
 
     Positive where the rays meet in front of both views, negative where they meet behind.
     """
-    a, turned = np.asarray(rays_a, dtype=np.float64), rotate_to_a(rays_b, phi)
-    normal = np.cross(a, turned)
-    baseline = np.array([np.sin(direction), np.cos(direction), 0.0])
-    # λ_a a − λ_b R b = baseline: the depths are these over |normal|².
-    depth_a = np.sum(normal * np.cross(baseline, turned), axis=-1)
-    depth_b = np.sum(normal * np.cross(baseline, a), axis=-1)
-    return np.asarray(np.linalg.norm(normal, axis=-1) * np.sign(depth_a + depth_b))
+    a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
+    return meeting(_along_baseline(a, direction), _along_baseline(b, direction + phi))
+
+
+def meeting(a: Array, b: Array) -> Array:
+    """Return |a × b| (N,) of vectors (3, N), negative where the lines along them meet behind.
+
+    The vectors' components are (along, across, up) the baseline; those that meet behind do so
+    against their own sense, seen from b's centre a step along the baseline from a's.
+    """
+    across = a[2] * b[0] - a[0] * b[2]
+    up = a[0] * b[1] - a[1] * b[0]
+    along = a[1] * b[2] - a[2] * b[1]
+    # λ_a a − λ_b b = baseline: the sum of both depths is this over |a × b|².
+    depths = up * (a[1] + b[1]) - across * (a[2] + b[2])
+    return np.asarray(np.copysign(np.sqrt(along**2 + across**2 + up**2), depths))
+
+
+def _along_baseline(rays: Array, bearing: float) -> Array:
+    """Return rays (N, 3) as components (3, N) along, across (to the right) and above a bearing."""
+    s, c = np.sin(bearing), np.cos(bearing)
+    right, forward, up = rays.T
+    return np.stack([s * right + c * forward, c * right - s * forward, up])
 
 
 def _towards_points(a: Array, b: Array, phi: float, direction: float, sigma: float) -> float:

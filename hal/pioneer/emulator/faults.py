@@ -20,13 +20,22 @@ KINDS: dict[str, float | None] = {
     "silent": None,
     "deaf": None,
     "rubbish": None,
-    "reset": None,
+    "reset": 255.0,
     "stall": None,
     "bumper": None,
     "estop": None,
     "low-battery": 10.5,
     "camera-frozen": None,
     "camera-dropped": None,
+}
+
+#: Least and greatest value of a fault that has one.
+_RANGES = {
+    "lost": (0.0, 1.0),
+    "corrupt": (0.0, 1.0),
+    "delay": (0.0, 60.0),
+    "reset": (254.0, 255.0),
+    "low-battery": (0.0, 25.0),
 }
 
 _TEXT = re.compile(
@@ -39,7 +48,8 @@ class Fault:
     """One fault.
 
     kind : one of `KINDS`.
-    value : probability per byte (lost, corrupt), seconds (delay), volts (low-battery).
+    value : probability per byte (lost, corrupt), seconds (delay), volts (low-battery), type of
+        the packet that says so (reset: 255 or 254).
     start : seconds after the robot first moves; None for a fault that is always there.
     length : how long it lasts (s); None for ever.
     """
@@ -81,6 +91,10 @@ def parse_fault(text: str) -> Fault:
         )
     except ValueError:
         raise InputError(f"fault '{text}': its numbers cannot be read") from None
+    if value is not None:
+        low, high = _RANGES[kind]
+        if not low <= value <= high:
+            raise InputError(f"fault '{text}': its value lies between {low:g} and {high:g}")
     return Fault(kind, KINDS[kind] if value is None else value, start, length)
 
 
