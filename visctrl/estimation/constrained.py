@@ -12,7 +12,7 @@ from visctrl.estimation.initial_from_bearings import InitialFromBearings
 from visctrl.estimation.initial_view import InitialView, InitialViewFilter
 from visctrl.estimation.scale import DeadReckoning, PathScale, Point
 from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
-from visctrl.geometry.planar import PlanarMotion, ransac_planar_motion
+from visctrl.geometry.planar import IDENTICAL, PlanarMotion, ransac_planar_motion
 from visctrl.geometry.trifocal import (
     T111,
     T112,
@@ -21,6 +21,7 @@ from visctrl.geometry.trifocal import (
     FixedViews,
     Trilinear,
     initial_view_basis,
+    unit_bearings,
 )
 from visctrl.geometry.trifocal_fit import Coupling, Fit, refine, view_jacobian, view_of
 from visctrl.geometry.trifocal_solvers import identical_views, ransac
@@ -36,6 +37,8 @@ _DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
 _CONTRADICTION, _RECONSIDER = 2.5, 10
+#: Mean length of the bearings' unit vectors beyond which they say too little (±17° and less).
+_CLUSTERED = 0.985
 _NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
@@ -120,6 +123,9 @@ class ConstrainedFit(TensorMethod):
             if motion.health is Health.OK:
                 return InitialView.of(motion)
             reason = motion.reason
+            if reason == IDENTICAL:
+                # Bearings would find some motion too, with a baseline made of noise.
+                return self._turned_only(views)
         found = self._bearings.find(views, self._driven, self._turned)
         if isinstance(found, InitialView):
             return found
@@ -143,9 +149,15 @@ class ConstrainedFit(TensorMethod):
         ahead, and t_2 = 0.
         """
         motion = self._motion(views.current, views)
-        turned_only = identical_views(views.current, views.target, views.sigma)
+        turned_only = motion.reason == IDENTICAL or identical_views(
+            views.current, views.target, views.sigma
+        )
         if motion.health is Health.LOST or not turned_only:
             reason = "views identical: initial and target, so no distance can be measured"
+            return Measurement.none(Health.DEGENERATE, reason)
+        middle = unit_bearings(views.target)[0].mean(axis=0)
+        if float(middle @ middle) > _CLUSTERED**2:
+            reason = "features clustered: too close together to tell whether this is the target"
             return Measurement.none(Health.DEGENERATE, reason)
         heading = -motion.phi
         tensor = np.zeros(8)
