@@ -37,6 +37,8 @@ _DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
 _CONTRADICTION, _RECONSIDER = 2.5, 10
+#: Bearings agree with those of the target within so many times what noise explains.
+_SAME_WITHIN = 2.0
 #: Mean length of the bearings' unit vectors beyond which they say too little (±17° and less).
 _CLUSTERED = 0.985
 _NOWHERE = Pose(0.0, 0.0, 0.0)
@@ -123,7 +125,7 @@ class ConstrainedFit(TensorMethod):
             if motion.health is Health.OK:
                 return InitialView.of(motion)
             reason = motion.reason
-            if reason == IDENTICAL:
+            if _on_target(motion, views.initial, views):
                 # Bearings would find some motion too, with a baseline made of noise.
                 return self._turned_only(views)
         found = self._bearings.find(views, self._driven, self._turned)
@@ -149,7 +151,7 @@ class ConstrainedFit(TensorMethod):
         ahead, and t_2 = 0.
         """
         motion = self._motion(views.current, views)
-        turned_only = motion.reason == IDENTICAL or identical_views(
+        turned_only = _on_target(motion, views.current, views) or identical_views(
             views.current, views.target, views.sigma
         )
         if motion.health is Health.LOST or not turned_only:
@@ -271,6 +273,16 @@ class ConstrainedFit(TensorMethod):
             inliers=inliers,
             spread=fit.spread,
         )
+
+
+def _on_target(motion: PlanarMotion, rays: Array, views: Views) -> bool:
+    """Return whether neither elevations nor, less sharply, bearings tell a view from the target.
+
+    Elevations alone say so too where all features are level with the camera.
+    """
+    return motion.reason == IDENTICAL and identical_views(
+        rays, views.target, _SAME_WITHIN * views.sigma
+    )
 
 
 def _rotated(vector: Point, angle: float) -> Point:
