@@ -13,7 +13,6 @@ from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
 from visctrl.control.trifocal_smooth import TrifocalSmooth, TrifocalSmoothOptions
 from visctrl.estimation.tensor import Tensor
 from visctrl.estimation.tensor_method import TensorOptions
-from visctrl.experiments.jobs import Job, run_job
 
 START = (-0.55, -1.6, -19.0)
 LAWS = {
@@ -78,12 +77,3 @@ def test_a_start_within_the_noise_of_the_target_is_not_left():
     outcome = drive(loop, "smooth")
     assert outcome.finished
     assert outcome.position < 0.012
-
-
-@pytest.mark.sim
-def test_a_blackout_on_rendered_images_is_survived():
-    settings = ("sim.faults.camera_black_s=[4.0,5.0]", "start.x_m=-0.2", "start.y_m=-1.2")
-    summary = run_job(Job("default", (*settings, "start.phi_deg=-9", "duration_s=40")))
-    assert summary["status"] == "reached", summary["reason"]
-    error = summary["final_error"]
-    assert math.hypot(error["x_m"], error["y_m"]) < 0.01
