@@ -36,6 +36,9 @@ from visctrl.runtime.watchdog import Watchdog
 
 T = TypeVar("T")
 
+#: Longest time (s) that a thread keeps the interpreter from another one in a run in real time.
+_SWITCH_S = 0.0005
+
 
 class PluginError(VisctrlError):
     """A plugin raised an exception in a tick.
