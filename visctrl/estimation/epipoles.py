@@ -14,7 +14,7 @@ from hal.types import Velocity
 from robots.documents import Document
 from visctrl.estimation.epipolar_location import LocationFilter
 from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
-from visctrl.estimation.epipole_pairs import PairFollower, Solver, solver_for
+from visctrl.estimation.epipole_pairs import Calibrated, PairFollower, Solver, solver_for
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
 Array = NDArray[np.float64]
@@ -93,6 +93,8 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
     def __init__(self, options: EpipolesOptions, context: Context) -> None:
         super().__init__(options, context)
         self._solver = solver_for(options.solver, context.camera)
+        #: Whether angles are angles: without a calibration, points in space are not.
+        self._metric = isinstance(self._solver, Calibrated)
         self.reset()
 
     def reset(self) -> None:
@@ -180,6 +182,15 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
             return views.initial, views.current
         return self._reference.common(views)
 
+    def _three_rays(self, views: Views) -> tuple[Array, Array, Array]:
+        """Return the rays of the features that target, reference and current view share."""
+        if self._reference is None:
+            return views.target, views.initial, views.current
+        _, here, there = np.intersect1d(
+            self._reference.ids, views.ids, assume_unique=True, return_indices=True
+        )
+        return views.target[there], self._reference.rays[here], views.current[there]
+
     def _locate(self, views: Views, target: EpipolePair, initial: EpipolePair) -> None:
         if self._filter is None:
             if self._fixed is not None and self._fixed.usable(self.options.sd_limit_rad):
@@ -187,6 +198,8 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
                 self._filter = self._filter_from(self._fixed, guess, _DISTANCE_SD)
             return
         self._filter.update(target, initial, self.options.sd_limit_rad)
+        if self._metric:
+            self._filter.place(self._three_rays(views), views.sigma)
         self._move_reference(views, target, self._filter)
 
     def _filter_from(self, fixed: EpipolePair, guess: float, sd: float) -> LocationFilter:

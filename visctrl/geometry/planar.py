@@ -37,6 +37,8 @@ _NEAREST = 10.0
 _MAX_NOISE = 4.0
 #: Standard deviations (rad) beyond which a motion counts as undetermined.
 _MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
+#: A step shorter than this part of a ray's noise ends a descent.
+_STILL = 1e-3
 #: Variance of a direction of which nothing is known (uniform on the circle).
 _UNKNOWN_DIRECTION = np.pi**2 / 3.0
 
@@ -272,23 +274,38 @@ def _descend(
     linear = _linearise(a, b, phi, direction)
     cost, damping = _soft_l1_cost(linear.residual / sigma), 1e-3
     for _ in range(iterations):
-        weighted = _soft_l1_weights(linear.residual / sigma)[:, None] * linear.jacobian
-        H, gradient = weighted.T @ linear.jacobian, weighted.T @ linear.residual
-        H = H + damping * np.diag(np.diag(H)) + 1e-12 * np.eye(2)
-        step = -np.linalg.solve(H, gradient)
+        step_phi, step_direction = _step(linear, sigma, damping)
+        longest = max(abs(step_phi), abs(step_direction))
         # A direction without information must not jump round the circle.
-        step *= min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12))
-        trial = _linearise(a, b, phi + step[0], direction + step[1])
+        shorter = min(1.0, 0.5 / max(longest, 1e-12))
+        ahead = phi + shorter * step_phi, direction + shorter * step_direction
+        trial = _linearise(a, b, *ahead)
         trial_cost = _soft_l1_cost(trial.residual / sigma)
         if trial_cost > cost:
+            if longest < _STILL * sigma:
+                break
             damping = max(damping, 1e-6) * 10.0
             continue
-        phi, direction = phi + float(step[0]), direction + float(step[1])
-        linear, gain, cost = trial, cost - trial_cost, trial_cost
+        (phi, direction), linear, cost = ahead, trial, trial_cost
         damping *= 0.1
-        if float(np.abs(step).max()) < 1e-10 or gain < 1e-12 * cost:
+        if longest < _STILL * sigma:
             break
     return phi, direction
+
+
+def _step(linear: _Linearised, sigma: float, damping: float) -> tuple[float, float]:
+    """Return the damped Newton step of (φ, θ)."""
+    weights = _soft_l1_weights(linear.residual / sigma)
+    # The kernel's own curvature is w³; far out that would overshoot.
+    curvature = weights * np.maximum(weights * weights, 0.5)
+    J = linear.jacobian
+    H = (J * curvature[:, None]).T @ J
+    g = (weights * linear.residual) @ J
+    pp, tt = float(H[0, 0]) * (1.0 + damping) + 1e-12, float(H[1, 1]) * (1.0 + damping) + 1e-12
+    pt = float(H[0, 1])
+    # Damped on its diagonal, H is positive definite.
+    det = pp * tt - pt * pt
+    return (pt * float(g[1]) - tt * float(g[0])) / det, (pt * float(g[0]) - pp * float(g[1])) / det
 
 
 def _covariance(
