@@ -149,6 +149,8 @@ class CaptureCamera(Camera):
             if connected is None:
                 self._closing.wait(_RETRY_S)
                 connected = self._connect()
+                if connected is None:
+                    self._problem = "the stream has dropped and cannot be opened again"
                 continue
             self._take_all(connected)
             connected.release()

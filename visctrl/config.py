@@ -6,6 +6,7 @@ layers, each checked as it is laid on, so that an error names the layer that hol
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -53,13 +54,13 @@ class CameraChoice(Document):
 
     name : of a built-in camera, or the path of a calibration (``.yaml``).
     width, height : image size (px); the camera's own if left out, and one follows from the other.
-    mount : name of one of the robot's mounts.
+    mount : name of one of the robot's mounts; the scheme's own if left out.
     """
 
     name: str = "hypercatadioptric"
     width: Annotated[int, Field(gt=0, le=10_000)] | None = None
     height: Annotated[int, Field(gt=0, le=10_000)] | None = None
-    mount: str = "centre"
+    mount: str | None = None
 
 
 class CameraError(Document):
@@ -233,16 +234,47 @@ def load_scenario(
         The file or an override cannot be used; the message names it, the key and what was
         expected.
     """
-    source = _source(name)
-    origin = str(source)
+    source = scenario_source(name)
+    return scenario_from(read_yaml(source), str(source), overrides, backend_names)
+
+
+def scenario_from(
+    data: Mapping[str, Any],
+    origin: str,
+    overrides: Iterable[Override] = (),
+    backend_names: Iterable[str] = (),
+) -> LoadedScenario:
+    """Check a scenario that is already read and lay overrides on it (see `load_scenario`).
+
+    Parameters
+    ----------
+    data : mapping
+        The keys of the scenario; left as they are.
+    origin : str
+        Where they came from, for error messages.
+    """
     backends = frozenset(backend_names)
-    data = read_yaml(source)
-    scenario = _checked(data, origin, backends)
-    laid = tuple(overrides)
-    for override in laid:
-        _lay(data, override)
-        scenario = _checked(data, override.origin, backends)
-    return LoadedScenario(scenario, origin, data, laid)
+    laid = copy.deepcopy(dict(data))
+    scenario = _checked(laid, origin, backends)
+    overrides = tuple(overrides)
+    for override in overrides:
+        _lay(laid, override)
+        scenario = _checked(laid, override.origin, backends)
+    return LoadedScenario(scenario, origin, laid, overrides)
+
+
+def overlaid(data: Mapping[str, Any], overrides: Iterable[Override]) -> dict[str, Any]:
+    """Return a copy of a scenario's keys with overrides laid on, not checked.
+
+    Raises
+    ------
+    InputError
+        An override looks for a mapping where there is a value.
+    """
+    laid = copy.deepcopy(dict(data))
+    for override in overrides:
+        _lay(laid, override)
+    return laid
 
 
 def to_yaml(data: Mapping[str, Any]) -> str:
@@ -255,7 +287,14 @@ def scenario_title(name: str) -> str:
     return str(read_yaml(resources.files("configs") / f"{name}.yaml").get("title", ""))
 
 
-def _source(name: str) -> Path | Traversable:
+def scenario_source(name: str) -> Path | Traversable:
+    """Return the file of a scenario, given by name or path.
+
+    Raises
+    ------
+    InputError
+        It is neither a built-in scenario nor a path.
+    """
     if name in scenario_names():
         return resources.files("configs") / f"{name}.yaml"
     path = Path(name)
@@ -291,4 +330,4 @@ def _lay(data: dict[str, Any], override: Override) -> None:
             dotted = ".".join(override.path[:depth])
             raise InputError(f"{override.origin}: key '{dotted}' holds a value, not a mapping")
         here = inner
-    here[last] = override.value
+    here[last] = copy.deepcopy(override.value)

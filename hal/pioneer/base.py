@@ -45,8 +45,6 @@ UNATTENDED_S = 0.4
 DISOBEDIENT_S = 1.5
 #: Longest pause between packets; also how often a standing robot's watchdog is fed.
 PULSE_S = 0.5
-#: After such a pause the firmware may have stopped by itself, with its old set-points kept.
-GAP_S = 1.0
 
 _FIRST_REPORT_S = 1.0
 _CONFIG_TRIES, _CONFIG_S = 5, 0.2
@@ -231,7 +229,12 @@ class PioneerBase(Base):
         return self._telemetry
 
     def _begin_session(self, telemetry: Telemetry) -> None:
-        """Open the session, wait for a first report, ask for the configuration."""
+        """Open the session, wait for a first report, ask for the configuration.
+
+        A robot whose watchdog has acted drives on with its old set-points as soon as any packet
+        arrives: from here on, those are taken back first.
+        """
+        self._link.after_pause = REST
         self._send(Command(Id.OPEN))
         if not self._wait(_FIRST_REPORT_S, lambda: telemetry.reported):
             raise LinkError(f"port {self._link.url}: the robot opens a session but never reports")
@@ -346,16 +349,10 @@ class PioneerBase(Base):
         self._set_point, self._commanded_at = velocity, now
 
     def _send(self, *commands: Command) -> None:
-        """Send commands; after a pause, first take back the set-points the robot may hold.
-
-        A robot whose watchdog has acted drives on with its old set-points as soon as any packet
-        arrives.
-        """
+        """Send commands; after a pause, the set-points are taken back first (see `Link`)."""
         with self._motion:
-            if self._clock.now() - self._link.last_sent > GAP_S:
-                self._link.send(*REST)
+            if self._link.send(*commands):
                 self._set_point = STANDSTILL
-            self._link.send(*commands)
 
     def _say_goodbye(self) -> None:
         if self.identity is None:

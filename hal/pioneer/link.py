@@ -19,6 +19,8 @@ from hal.pioneer.packet import Packet, StreamDecoder
 #: Least time between two commands (s). The firmware reads one per millisecond interrupt and the
 #: manual asks for 3 to 5 ms; the margin covers what the way to the robot adds or takes.
 SPACING_S = 0.006
+#: After such a pause (s) the firmware may have stopped by itself, with its old set-points kept.
+PAUSE_S = 1.0
 #: Longest wait for bytes (s): how late other work of the reading thread can be.
 READ_TIMEOUT_S = 0.02
 # pyserial also counts the time that this process is not scheduled.
@@ -57,6 +59,8 @@ class Link:
         self._sending = threading.Lock()
         #: When the last command went out (s).
         self.last_sent = float("-inf")
+        #: What the robot must hear first after a pause of more than `PAUSE_S`.
+        self.after_pause: tuple[Command, ...] = ()
 
     def open(self) -> None:
         """Open the port, for this process only.
@@ -104,21 +108,37 @@ class Link:
             port.reset_input_buffer()
         self._decoder = StreamDecoder()
 
-    def send(self, *commands: Command) -> None:
+    def send(self, *commands: Command) -> bool:
         """Send commands, no closer together than the firmware can take them.
+
+        After a pause, `after_pause` goes first, and all of ``commands`` behind it, even if the
+        process was held up in the middle of them. Return whether that was so.
 
         Raises
         ------
         LinkError
             The port is gone or does not take bytes.
         """
-        for command in commands:
-            data = command.encode()
-            with self._sending:
+        paused = False
+        with self._sending:
+            sent = 0
+            while sent < len(commands):
                 self._clock.sleep_until(self.last_sent + SPACING_S)
-                with self._guarded() as port:
-                    port.write(data)
-                self.last_sent = self._clock.now()
+                if self.after_pause and self._clock.now() - self.last_sent > PAUSE_S:
+                    paused, sent = True, 0
+                    for command in self.after_pause:
+                        self._write(command)
+                else:
+                    self._write(commands[sent])
+                    sent += 1
+        return paused
+
+    def _write(self, command: Command) -> None:
+        data = command.encode()
+        self._clock.sleep_until(self.last_sent + SPACING_S)
+        with self._guarded() as port:
+            port.write(data)
+        self.last_sent = self._clock.now()
 
     def receive(self) -> list[Packet]:
         """Return the packets that have arrived; wait shortly if there is nothing.

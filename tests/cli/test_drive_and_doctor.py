@@ -3,32 +3,143 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 import yaml
+from virtual_robot import Site
 
 from hal.central_camera import CentralCamera
+from hal.clock import WallClock
+from hal.errors import LinkError
+from hal.pioneer.base import PioneerBase
 from hal.pioneer.emulator.character import character
 from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.faults import Fault, FaultSchedule
 from hal.pioneer.emulator.firmware import Firmware
 from hal.pioneer.emulator.ports import PtyPort
-from hal.pioneer.emulator.stream import MjpegServer
-from visctrl.cli.drive import split_keys
+from hal.types import STANDSTILL, Velocity
+from robots import load_robot
+from visctrl.cli.drive import Hand, split_keys
 from visctrl.cli.main import main
 
-pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[2]
+CAMERA = "http://camera/stream.mjpg"
+
+# --- keys on simulated time ------------------------------------------------------------------
+
+
+@dataclass
+class Fingers:
+    """Keys that are held, and repeat as a keyboard lets them."""
+
+    site: Site
+    held: list[tuple[float, float, str]] = field(default_factory=list)
+    _looked: float = 0.0
+
+    def pressed(self) -> list[str]:
+        before, self._looked = self._looked, self.site.world.now
+        repeats = [
+            (begin + k * 0.04, key)
+            for begin, end, key in self.held
+            for k in range(round((end - begin) / 0.04) + 1)
+        ]
+        return [key for t, key in sorted(repeats) if before < t <= self._looked]
+
+
+@dataclass
+class Driven:
+    """A robot that was driven by hand: (time, velocity) every 10 ms, and what came of it."""
+
+    robot: Emulator
+    trace: list[tuple[float, Velocity]] = field(default_factory=list)
+    error: Exception | None = None
+
+    def at(self, t: float) -> Velocity:
+        return min(self.trace, key=lambda row: abs(row[0] - t))[1]
+
+
+def driven(site: Site, *held: tuple[float, float, str], fault: str = "") -> Driven:
+    """Let a hand drive for 8 s with keys held from then to then (s); then quit."""
+    it = Driven(site.robot())
+    base = PioneerBase(it.robot.url, "p3dx", load_robot("p3dx").operating, WallClock())
+    base.open()
+    begun = site.world.now
+    keys = [(begun + a, begun + b, key) for a, b, key in (*held, (8.0, 8.0, "q"))]
+
+    def watch() -> None:
+        while True:
+            t = site.world.now - begun
+            it.trace.append((t, it.robot.velocity))
+            if fault and t >= 1.0:
+                it.robot.faults.switch_on(fault)
+            site.world.sleep(0.01)
+
+    site.meanwhile(watch)
+    try:
+        Hand(base, Fingers(site, keys), WallClock(), Velocity(0.3, 0.35)).run()
+    except LinkError as error:
+        it.error = error
+    finally:
+        base.close()
+    assert it.robot.velocity == STANDSTILL
+    assert not it.robot.motors
+    assert it.robot.traffic.violations() == []
+    return it
+
+
+def test_it_moves_while_a_key_is_held_and_stops_when_not(site: Site) -> None:
+    it = driven(site, (0.5, 2.0, "w"), (4.0, 5.0, "\x1b[D"))
+    assert it.at(0.45) == STANDSTILL
+    assert it.at(2.0) == (pytest.approx(0.3), 0.0)
+    # The key's hold, the command's period, and the ramp from 0.3 m/s at 0.3 m/s2.
+    assert it.at(2.0 + 0.35 + 0.1 + 1.0 + 0.1) == STANDSTILL
+    assert it.at(5.0).omega > 0.3
+    assert it.at(5.0).v == 0.0
+    assert it.at(6.5) == STANDSTILL
+
+
+@pytest.mark.parametrize(
+    ("key", "sign"), [("w", (1, 0)), ("s", (-1, 0)), ("a", (0, 1)), ("d", (0, -1))]
+)
+def test_directions(site: Site, key: str, sign: tuple[int, int]) -> None:
+    v, omega = driven(site, (0.5, 1.5, key)).at(1.5)
+    assert ((v > 0) - (v < 0), (omega > 0) - (omega < 0)) == sign
+
+
+def test_space_brakes_hard(site: Site) -> None:
+    it = driven(site, (0.5, 2.0, "w"), (2.05, 2.05, " "))
+    assert it.at(2.2) == STANDSTILL
+
+
+def test_slower(site: Site) -> None:
+    it = driven(site, (0.2, 0.2, "-"), (0.3, 0.3, "-"), (0.5, 2.5, "w"))
+    assert it.at(2.5).v == pytest.approx(0.3 / 1.25**2, abs=0.001)
+
+
+def test_bumper_holds_the_robot_however_long_a_key_is_held(site: Site) -> None:
+    it = driven(site, (0.2, 4.0, "w"), fault="bumper")
+    assert it.at(0.99).v > 0.1
+    assert it.at(1.6) == it.at(3.9) == STANDSTILL
+
+
+def test_lost_robot_ends_the_drive(site: Site) -> None:
+    it = driven(site, (0.2, 4.0, "w"), fault="silent")
+    assert "not reported" in str(it.error)
+
+
+def test_keys() -> None:
+    assert split_keys("w\x1b[A\x1b[Dq \x1b") == ["w", "\x1b[A", "\x1b[D", "q", " ", "\x1b"]
+
+
+# --- the program on a terminal ---------------------------------------------------------------
 
 
 @pytest.fixture
@@ -37,7 +148,7 @@ def emulator() -> Iterator[Emulator]:
         yield emulator
 
 
-def wait_until(done: Callable[[], bool], limit: float = 10.0) -> None:
+def wait_until(done: Callable[[], bool], limit: float = 60.0) -> None:
     start = time.monotonic()
     while not done():
         assert time.monotonic() - start < limit, "it never happened"
@@ -54,7 +165,7 @@ def driving(emulator: Emulator, *options: str) -> Iterator[tuple[subprocess.Pope
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     try:
-        wait_until(lambda: emulator.motors, 60.0)
+        wait_until(lambda: emulator.motors)
         yield process, keyboard
     finally:
         process.kill()
@@ -63,43 +174,22 @@ def driving(emulator: Emulator, *options: str) -> Iterator[tuple[subprocess.Pope
         os.close(terminal)
 
 
-def hold(keyboard: int, key: str, seconds: float) -> None:
-    """Press a key and keep it, as a keyboard repeats it."""
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        os.write(keyboard, key.encode())
-        time.sleep(0.04)
-
-
-def test_it_moves_while_a_key_is_held_and_stops_when_not(emulator: Emulator) -> None:
-    with driving(emulator, "--speed", "0.3") as (process, keyboard):
-        hold(keyboard, "w", 1.5)
-        assert emulator.velocity.v == pytest.approx(0.3)
-        released = emulator.now()
-        wait_until(lambda: emulator.velocity == (0.0, 0.0), 2.0)
-        # The key's hold, the command's period, and the ramp from 0.3 m/s at 0.3 m/s2.
-        assert emulator.now() - released < 0.35 + 0.1 + 1.0 + 0.2
-        hold(keyboard, "\x1b[D", 0.5)
-        assert emulator.velocity.omega > 0.1
-        os.write(keyboard, b" ")
-        wait_until(lambda: emulator.velocity == (0.0, 0.0), 0.4)
-        os.write(keyboard, b"q")
-        assert process.wait(10.0) == 0
-    assert not emulator.motors
-    assert emulator.traffic.violations() == []
-
-
-def test_terminating_the_program_stops_the_robot(emulator: Emulator) -> None:
+@pytest.mark.parametrize(("how", "code"), [("quit", 0), ("terminate", 143)])
+def test_program_on_a_terminal(emulator: Emulator, how: str, code: int) -> None:
     with driving(emulator) as (process, keyboard):
-        hold(keyboard, "w", 0.8)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(10.0) == 143
-        assert emulator.velocity == (0.0, 0.0)
+
+        def moving() -> bool:
+            os.write(keyboard, b"w")
+            return emulator.velocity.v > 0.05
+
+        wait_until(moving)
+        if how == "quit":
+            os.write(keyboard, b"q")
+        else:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(30.0) == code
+        assert emulator.velocity == STANDSTILL
         assert not emulator.motors
-
-
-def test_keys() -> None:
-    assert split_keys("w\x1b[A\x1b[Dq \x1b") == ["w", "\x1b[A", "\x1b[D", "q", " ", "\x1b"]
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -124,8 +214,11 @@ def test_driving_that_cannot_begin(
     assert says in capfd.readouterr().err
 
 
+# --- the doctor ------------------------------------------------------------------------------
+
+
 def test_doctor_examines_robot_and_camera(
-    emulator: Emulator,
+    site: Site,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
@@ -135,42 +228,42 @@ def test_doctor_examines_robot_and_camera(
     )
     calibration = tmp_path / "small.yaml"
     calibration.write_text(yaml.safe_dump(model.model_dump()))
-    stop = threading.Event()
-    with MjpegServer() as server:
-
-        def film() -> None:
-            rng = np.random.default_rng(0)
-            while not stop.wait(0.05):
-                picture = rng.integers(0, 255, (120, 160), dtype=np.uint8)
-                server.publish(cv2.imencode(".jpg", picture)[1].tobytes())
-
-        thread = threading.Thread(target=film, daemon=True)
-        thread.start()
-        code = call(
-            monkeypatch,
-            *("doctor", "--quick", "--port", emulator.url),
-            *("--camera-url", server.url, "--camera", str(calibration)),
-        )
-        stop.set()
-        thread.join()
-    lines = capfd.readouterr().out.splitlines()
-    assert code == 0, lines
-    text = "\n".join(lines)
-    for word in ("python", "pybullet", "p3dx-sh", "watchdog 2000 ms", "12.8 V", "160x120"):
+    robot = site.robot()
+    code = call(
+        monkeypatch,
+        *("doctor", "--quick", "--port", robot.url),
+        *("--camera-url", CAMERA, "--camera", str(calibration)),
+    )
+    text = capfd.readouterr().out
+    assert code == 0, text
+    for word in ("python", "pybullet", "p3dx-sh", "watchdog 2000 ms", "12.8 V", "160x120",
+                 "10.0 pictures/s"):  # fmt: skip
         assert word in text
-    assert not any(line.startswith("failure") for line in lines)
-    assert emulator.pose == (0.0, 0.0, 0.0)
-    assert "ENABLE 1" not in {str(command) for command in emulator.traffic.commands()}
+    assert re.search(r"the newest at most 0\.(09|10) s old", text)
+    assert "failure" not in text
+    assert robot.pose == (0.0, 0.0, 0.0)
+    assert "ENABLE 1" not in {str(command) for command in robot.traffic.commands()}
 
 
 def test_doctor_names_the_remedy(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    site: Site, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    faults = FaultSchedule([Fault("low-battery", 10.2), Fault("estop")])
-    with Emulator(Firmware(character("p3at-sh")), PtyPort(), faults) as emulator:
-        assert call(monkeypatch, "doctor", "--quick", "--port", emulator.url) == 3
+    robot = site.robot(subclass="p3at-sh")
+    robot.faults.switch_on("low-battery", 10.2)
+    robot.faults.switch_on("estop")
+    assert call(monkeypatch, "doctor", "--quick", "--port", robot.url) == 3
     out = capfd.readouterr().out
     assert "10.2 V -> charge it" in out
     assert "the emergency stop is pressed -> release it" in out
     assert call(monkeypatch, "doctor", "--quick", "--camera-url", "97") == 3
     assert "video devices here" in capfd.readouterr().out
+
+
+def test_doctor_wants_a_faster_camera(
+    site: Site, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    site.film.rate, site.film.size = 6.0, (800, 600)
+    assert call(monkeypatch, "doctor", "--quick", "--camera-url", CAMERA) == 0
+    out = capfd.readouterr().out
+    assert "6.0 pictures/s" in out
+    assert "more light" in out

@@ -20,10 +20,10 @@ from hal.types import Velocity
 from robots import load_robot
 from visctrl.cli.main import main
 
-pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.realtime
 def test_emulator_serves_a_driver_and_keeps_a_log(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     options = ["--camera", "none", "--port", "socket:0", "--robot", "p3at-sh", "--log", str(log)]

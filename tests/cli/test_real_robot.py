@@ -1,33 +1,29 @@
-"""`visctrl run --backend pioneer` over a real port and a real stream, faults included."""
+"""`visctrl run --backend pioneer` and `visctrl teach`, against the emulator on simulated time."""
 
 from __future__ import annotations
 
 import json
-import math
-import os
-import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+from virtual_robot import Site
 
 from hal.central_camera import CentralCamera
-from hal.pioneer.emulator.character import character
+from hal.pioneer.commands import Command, Id, decode_command
+from hal.pioneer.emulator.character import SIMULATOR, Personality
 from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.firmware import Firmware
-from hal.pioneer.emulator.ports import PtyPort
-from hal.pioneer.emulator.stream import MjpegServer
+from hal.pioneer.emulator.firmware import STEP_S
+from hal.pioneer.subclasses import SUBCLASSES
+from hal.types import STANDSTILL
 from visctrl.cli.main import main
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.target_view import TargetView, load_target
 
-pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[2]
 MODEL = CentralCamera(
     name="small", width=160, height=120, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5
@@ -37,135 +33,186 @@ backend: pioneer
 camera: {name: small.yaml}
 perception: {name: blind}
 estimator: {name: toy}
-controller: {name: toy, v: 0.4, drive_s: 20}
+controller: {name: toy, v: 0.4, omega: 0.3, drive_s: 20}
 approach: {enabled: false}
 safety: {acceleration_m_s2: 1.0}
 target: {file: target.npz}
 """
+SPEED = 0.4
+CAMERA = "http://camera/stream.mjpg"
 Run = Callable[..., tuple[int, dict[str, object], str]]
-
-
-@dataclass
-class Site:
-    """An emulated robot, a camera that sees noise, and where the program runs."""
-
-    emulator: Emulator
-    server: MjpegServer
-    folder: Path
-    filming: threading.Event = field(default_factory=threading.Event)
-
-    @property
-    def devices(self) -> tuple[str, ...]:
-        return ("--port", self.emulator.url, "--camera-url", self.server.url)
-
-    def film(self, stop: threading.Event) -> None:
-        rng = np.random.default_rng(0)
-        while not stop.wait(0.05):
-            if self.filming.is_set():
-                picture = rng.integers(0, 255, (MODEL.height, MODEL.width), dtype=np.uint8)
-                self.server.publish(cv2.imencode(".jpg", picture)[1].tobytes())
-
-    def when_at_speed(self, act: Callable[[], None]) -> threading.Thread:
-        """Let something happen once the robot drives at full speed."""
-
-        def watch() -> None:
-            deadline = time.monotonic() + 10.0
-            while self.emulator.velocity.v < 0.4 and time.monotonic() < deadline:
-                time.sleep(0.01)
-            self.began = self.emulator.now()
-            act()
-
-        thread = threading.Thread(target=watch)
-        thread.start()
-        return thread
-
-    began = math.inf
+#: Limits to standstill (s): where the driver can act, and where only the robot's watchdog can.
+DRIVER_S, WATCHDOG_S = 0.6, 2.1
 
 
 @pytest.fixture
-def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
+def robot(site: Site) -> Emulator:
+    return site.robot()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the program runs, with a scenario of plugins that do little."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "toy.yaml").write_text(SCENARIO)
     (tmp_path / "small.yaml").write_text(MODEL.model_dump_json())
     TargetView(np.zeros((1, 120, 160), np.uint8), MODEL).save(tmp_path / "target.npz")
-    for folder in (ROOT / "tests" / "runtime", ROOT / "tests" / "cli"):
-        monkeypatch.syspath_prepend(folder)
+    for room in ("runtime", "cli"):
+        monkeypatch.syspath_prepend(ROOT / "tests" / room)
     monkeypatch.setitem(REGISTRIES.perception.builtin, "blind", "blind_plugins:Blind")
     monkeypatch.setitem(REGISTRIES.estimators.builtin, "toy", "toy_plugins:ToyEstimator")
     monkeypatch.setitem(REGISTRIES.controllers.builtin, "toy", "toy_plugins:ToyController")
-    monkeypatch.setattr("visctrl.report.plots.plot_run", lambda source, target: target.touch())
-    stop = threading.Event()
-    firmware = Firmware(character("p3dx-sh"))
-    with Emulator(firmware, PtyPort()) as emulator, MjpegServer() as server:
-        site = Site(emulator, server, tmp_path)
-        site.filming.set()
-        thread = threading.Thread(target=site.film, args=(stop,), daemon=True)
-        thread.start()
-        yield site
-        stop.set()
-        thread.join()
+    return tmp_path
 
 
 @pytest.fixture
-def run(site: Site, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
-    """Return a function that runs the program; it gives exit code, summary and messages."""
+def visctrl(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Return a function that runs the program; it gives exit code, output and messages."""
 
-    def call(*arguments: str, devices: bool = True) -> tuple[int, dict[str, object], str]:
+    def call(*arguments: str) -> tuple[int, str, str]:
         capfd.readouterr()
-        command = ["visctrl", "run", "toy.yaml", "--json", "--quiet", "--out", "o"]
-        monkeypatch.setattr(sys, "argv", [*command, *(site.devices if devices else ()), *arguments])
+        monkeypatch.setattr(sys, "argv", ["visctrl", *arguments])
         with pytest.raises(SystemExit) as caught:
             main()
         out, err = capfd.readouterr()
-        return int(caught.value.code or 0), json.loads(out) if out else {}, err
+        assert "Traceback" not in err
+        return int(caught.value.code or 0), out, err
 
     return call
 
 
-def test_a_run_over_the_whole_real_path(site: Site, run: Run) -> None:
-    code, summary, messages = run("--set", "controller.drive_s=1.5")
-    assert code == 0, messages
-    assert summary["status"] == "reached"
-    assert "true pose is not known" in str(summary["reason"])
-    assert site.emulator.pose.y > 0.3
-    assert site.emulator.velocity == (0.0, 0.0)
-    assert not site.emulator.motors
-    assert site.emulator.traffic.violations() == []
+@pytest.fixture
+def run(visctrl: Callable[..., tuple[int, str, str]], robot: Emulator) -> Run:
+    """Return a function that runs the scenario; it gives exit code, summary and messages."""
+
+    def call(*arguments: str) -> tuple[int, dict[str, object], str]:
+        command = ["run", "toy.yaml", "--json", "--quiet", "--out", "o"]
+        devices = ["--port", robot.url, "--camera-url", CAMERA]
+        code, out, err = visctrl(*command, *devices, *arguments)
+        return code, json.loads(out) if out else {}, err
+
+    return call
+
+
+def everything_is_released(site: Site) -> bool:
+    lines = site.ports.lines.values()
+    return not any(line.open for line in lines) and site.film.opened == site.film.released
 
 
 @pytest.mark.parametrize(
-    ("fault", "says"),
-    [
-        ("silent", "not reported for"),
-        ("bumper", "a front bumper is pressed"),
-        ("camera-frozen", "the camera has frozen"),
-        ("camera-dropped", "stream"),
-    ],
+    ("url", "personality"), [("/dev/robot", None), ("socket://robot:8101", SIMULATOR)]
 )
-def test_fault_while_driving(site: Site, run: Run, fault: str, says: str) -> None:
-    def happen() -> None:
-        if fault == "camera-frozen":
-            site.filming.clear()
-        elif fault == "camera-dropped":
-            site.server.drop()
-        else:
-            site.emulator.faults.switch_on(fault)
+def test_a_run_over_the_whole_real_path(
+    site: Site, run: Run, url: str, personality: Personality | None
+) -> None:
+    robot = site.robot(url) if personality is None else site.robot(url, personality=personality)
+    code, summary, messages = run("--port", url, "--set", "controller.drive_s=1.5")
+    assert code == 0, messages
+    assert summary["status"] == "reached"
+    assert "true pose is not known" in str(summary["reason"])
+    assert summary["missed_ticks"] == 0
+    assert robot.pose.y > 0.3
+    assert robot.velocity == STANDSTILL
+    assert not robot.motors
+    assert robot.traffic.violations() == []
+    assert everything_is_released(site)
 
-    watcher = site.when_at_speed(happen)
+
+@dataclass(frozen=True)
+class Case:
+    """A fault of robot, line or camera, how soon the robot must stand, and what is said."""
+
+    kind: str
+    value: float | None
+    limit: float
+    says: str
+
+
+CASES = (
+    Case("lost", 1.0, WATCHDOG_S, "not reported for"),
+    Case("corrupt", 1.0, WATCHDOG_S, "not reported for"),
+    Case("delay", 5.0, WATCHDOG_S, "not reported for"),
+    Case("deaf", None, WATCHDOG_S, "does not hear"),
+    Case("silent", None, DRIVER_S, "not reported for"),
+    Case("rubbish", None, DRIVER_S, "not reported for"),
+    Case("reset", 255, DRIVER_S, "controller has restarted"),
+    Case("reset", 254, DRIVER_S, "controller has restarted"),
+    Case("stall", None, DRIVER_S, "the left wheel is stalled"),
+    Case("bumper", None, DRIVER_S, "a front bumper is pressed"),
+    Case("estop", None, DRIVER_S, "the emergency stop is pressed"),
+    Case("low-battery", 10.5, DRIVER_S, "the battery is low: 10.5 V"),
+    Case("camera-frozen", None, DRIVER_S, "the camera has frozen"),
+    Case("camera-dropped", None, DRIVER_S, "the stream has dropped"),
+)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.kind}-{case.value}")
+def test_fault_at_full_speed(site: Site, robot: Emulator, run: Run, case: Case) -> None:
+    """Standstill in time, a message, exit code 3, everything released; the next run works."""
+    began = 0.0
+
+    def happen() -> None:
+        nonlocal began
+        site.wait_until(lambda: robot.velocity.v > SPEED - 1e-6)
+        site.world.sleep(0.06)  # between two reports, pictures and commands
+        began = robot.now()
+        switch(site, robot, case, on=True)
+
+    site.meanwhile(happen)
     code, summary, messages = run()
-    watcher.join()
-    assert code == 3
-    assert summary["status"] == "fault"
-    assert says in messages
-    stood = site.emulator.standing_since
-    assert stood is not None
-    assert stood - site.began <= 0.6
-    site.filming.set()
-    site.server.restore()
-    site.emulator.faults.switch_off(fault)
+    assert (code, summary["status"]) == (3, "fault")
+    assert case.says in messages
+    assert everything_is_released(site)
+    site.wait_until(lambda: robot.standing_since is not None, WATCHDOG_S)
+    assert -STEP_S < (robot.standing_since or 0.0) - began <= case.limit
+    switch(site, robot, case, on=False)
+    if case.kind == "delay":  # the line first delivers what it held back
+        site.world.sleep(5.0)
     code, _, messages = run("--set", "controller.drive_s=0.5")
     assert code == 0, messages
-    assert site.emulator.traffic.violations() == []
+    if case.kind not in ("lost", "corrupt"):  # those have spoilt what was sent
+        assert robot.traffic.violations() == []
+
+
+def switch(site: Site, robot: Emulator, case: Case, *, on: bool) -> None:
+    """Let a fault begin or end."""
+    match case.kind:
+        case "camera-frozen":
+            site.film.frozen = on
+        case "camera-dropped":
+            site.film.dropped = on
+        case _ if on:
+            robot.faults.switch_on(case.kind, case.value)
+        case _:
+            robot.faults.switch_off(case.kind)
+
+
+def test_hung_plugin(site: Site, robot: Emulator, run: Run, monkeypatch: Any) -> None:
+    """The robot is stopped while a plugin does not return, and the run goes on afterwards."""
+    monkeypatch.setattr("toy_plugins.ToyController.sleep", site.world.sleep)
+    stall = ("controller.at_s=2.0", "controller.trouble=stall", "controller.stall_s=1.5")
+    stood = []
+    site.meanwhile(lambda: stood.append(stops_while_hung(site, robot)))
+    code, _, messages = run(*sets("controller.drive_s=3.0", *stall))
+    assert code == 0, messages
+    assert stood[0] < 0.6
+    assert "by cause: control" in messages
+    assert robot.traffic.violations() == []
+
+
+def stops_while_hung(site: Site, robot: Emulator) -> float:
+    """Return how long after its last command the robot stands."""
+    site.wait_until(lambda: robot.velocity.v > SPEED - 1e-6)
+    site.wait_until(lambda: robot.velocity == STANDSTILL)
+    commands = [entry for entry in robot.traffic.entries if decode_command(entry.packet).id == 11]
+    moving = [entry for entry in commands if decode_command(entry.packet).argument]
+    return robot.now() - moving[-1].latest
+
+
+def sets(*settings: str) -> list[str]:
+    return [word for setting in settings for word in ("--set", setting)]
 
 
 @pytest.mark.parametrize(
@@ -178,17 +225,20 @@ def test_fault_while_driving(site: Site, run: Run, fault: str, says: str) -> Non
     ],
 )
 def test_whatever_ends_a_run_the_robot_is_left_in_order(
-    site: Site, run: Run, trouble: str, code: int, says: str
+    site: Site, robot: Emulator, run: Run, trouble: str, code: int, says: str
 ) -> None:
-    options = ("controller.at_s=0.8", f"controller.trouble={trouble}")
-    done, _, messages = run(*(word for option in options for word in ("--set", option)))
+    done, _, messages = run(*sets("controller.at_s=0.8", f"controller.trouble={trouble}"))
     assert done == code
     assert says in messages
-    assert site.emulator.velocity == (0.0, 0.0)
-    assert not site.emulator.motors
-    commands = [str(command) for command in site.emulator.traffic.commands()]
+    assert robot.velocity == STANDSTILL
+    assert not robot.motors
+    commands = [str(command) for command in robot.traffic.commands()]
     assert commands[-5:] == ["E_STOP", "VEL 0", "RVEL 0", "ENABLE 0", "CLOSE"]
-    assert site.emulator.traffic.violations() == []
+    assert robot.traffic.violations() == []
+    assert everything_is_released(site)
+
+
+# --- what cannot be used ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -205,41 +255,64 @@ def test_whatever_ends_a_run_the_robot_is_left_in_order(
     ],
 )
 def test_what_cannot_be_used(
-    site: Site, run: Run, arguments: list[str], code: int, says: str
+    site: Site, robot: Emulator, run: Run, arguments: list[str], code: int, says: str
 ) -> None:
     done, _, messages = run(*arguments)
     assert done == code
     assert says in messages
-    assert "Traceback" not in messages
-    assert site.emulator.pose == (0.0, 0.0, 0.0)
-    assert not site.emulator.motors
+    assert robot.pose == (0.0, 0.0, 0.0)
+    assert not robot.motors
+    assert everything_is_released(site)
 
 
-def test_camera_of_another_size_than_its_calibration(site: Site, run: Run) -> None:
-    large = MODEL.resized(320, 240)
-    (site.folder / "small.yaml").write_text(large.model_dump_json())
-    TargetView(np.zeros((1, 240, 320), np.uint8), large).save(site.folder / "target.npz")
+def test_busy_port(site: Site, robot: Emulator, run: Run) -> None:
+    site.line(robot).open = True
     code, _, messages = run()
     assert code == 3
-    assert "it delivers 160x120" in messages
-    assert site.emulator.traffic.commands() == []
+    assert "in use by another process" in messages
+    assert robot.traffic.commands() == []
+
+
+def test_port_that_answers_rubbish(robot: Emulator, run: Run) -> None:
+    robot.faults.switch_on("rubbish")
+    code, _, messages = run()
+    assert code == 3
+    assert "only noise arrives" in messages
+    assert not robot.motors
+
+
+def test_unknown_subclass(
+    site: Site, robot: Emulator, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(SUBCLASSES, "p3dx-sh")
+    code, _, messages = run()
+    assert code == 3
+    assert "calls itself 'p3dx-sh', which is not known here" in messages
+    assert not robot.motors
+    assert robot.traffic.commands()[-1] == Command(Id.CLOSE)
+
+
+def test_camera_of_another_size_than_its_calibration(site: Site, robot: Emulator, run: Run) -> None:
+    site.film.size = (320, 240)
+    code, _, messages = run()
+    assert code == 3
+    assert "it delivers 320x240" in messages
+    assert robot.traffic.commands() == []
 
 
 # --- teaching --------------------------------------------------------------------------------
 
 
 def test_teaching_while_something_moves(
-    site: Site, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    robot: Emulator, folder: Path, visctrl: Callable[..., tuple[int, str, str]]
 ) -> None:
-    command = ["visctrl", "teach", "toy.yaml", "-o", "new.npz", "--frames", "3", *site.devices]
-    monkeypatch.setattr(sys, "argv", command)
-    (site.folder / "target.npz").unlink()  # what a scenario names before it has been taught
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 2
-    assert "differs from the first" in capfd.readouterr().err
-    assert not (site.folder / "new.npz").exists()
-    assert site.emulator.traffic.violations() == []
+    (folder / "target.npz").unlink()  # what a scenario names before it has been taught
+    devices = ["--port", robot.url, "--camera-url", CAMERA]
+    code, _, messages = visctrl("teach", "toy.yaml", "-o", "new.npz", "--frames", "3", *devices)
+    assert code == 2
+    assert "differs from the first" in messages
+    assert not (folder / "new.npz").exists()
+    assert robot.traffic.violations() == []
 
 
 def test_target_view_survives_its_file(tmp_path: Path) -> None:
@@ -250,50 +323,3 @@ def test_target_view_survives_its_file(tmp_path: Path) -> None:
     assert np.array_equal(again.images, images)
     assert (again.camera, again.taken, again.odometry) == (MODEL, "2026-01-01", None)
     assert [frame.sequence for frame in again.frames()] == [0, 1]
-
-
-# --- everything at once ----------------------------------------------------------------------
-
-
-@pytest.mark.sim
-def test_taught_emulated_and_driven_by_separate_programs(tmp_path: Path) -> None:
-    """Teach in simulation, emulate the robot in the same hall, drive it over a terminal."""
-    width = ["--set", "camera.width=400"]
-    start = ["0.2", "-1.5", "8"]
-    visctrl = [sys.executable, "-m", "visctrl"]
-
-    def call(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [*visctrl, *arguments],
-            cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=200,
-            check=False,
-        )  # fmt: skip
-
-    taught = call("teach", "--backend", "sim", "-o", "target.npz", *width)
-    assert taught.returncode == 0, taught.stderr
-    assert "every scheme" in taught.stdout
-    emulator = subprocess.Popen(
-        [*visctrl, "emulate-pioneer", "--width", "400", "--start", *start],
-        cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        assert emulator.stdout is not None
-        port, url = emulator.stdout.readline().strip(), emulator.stdout.readline().strip()
-        done = call(
-            *("run", "--backend", "pioneer", "--scheme", "trifocal", "--target", "target.npz"),
-            *("--port", port, "--camera-url", url, "--quiet", *width),
-        )
-        assert done.returncode == 0, done.stderr
-        emulator.terminate()
-        _, messages = emulator.communicate(timeout=20)
-    finally:
-        emulator.kill()
-    assert emulator.returncode == 0
-    ended = json.loads(messages.splitlines()[-1])
-    assert math.hypot(ended["camera"]["x_m"], ended["camera"]["y_m"]) < 0.02
-    assert abs(ended["camera"]["phi_deg"]) < 1.0
-    assert ended["violations"] == []
-
-
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from virtual_robot import Site
 
 from hal.capture import CaptureCamera, CaptureOptions
 from hal.central_camera import CentralCamera
@@ -20,7 +21,6 @@ from hal.errors import CameraError, StaleFrameError
 from hal.pioneer.emulator.stream import MjpegServer
 from hal.types import Frame
 
-pytestmark = pytest.mark.realtime
 WIDTH, HEIGHT, RATE = 160, 120, 25.0
 MODEL = CentralCamera(
     name="test", width=WIDTH, height=HEIGHT, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5
@@ -100,6 +100,7 @@ def wait_for_stale(camera: CaptureCamera) -> tuple[float, str]:
     raise AssertionError("never stale")
 
 
+@pytest.mark.realtime
 def test_newest_picture_only(projector: Projector) -> None:
     with opened(projector.server.url) as camera:
         time.sleep(0.5)  # nobody reads; nothing must pile up
@@ -118,6 +119,7 @@ def test_newest_picture_only(projector: Projector) -> None:
     assert np.asarray(frames[0].image).shape == (HEIGHT, WIDTH)
 
 
+@pytest.mark.realtime
 def test_stamps_are_arrival_less_the_known_latency(projector: Projector) -> None:
     with opened(projector.server.url, latency_s=0.05, max_age_s=1.0) as camera:
         time.sleep(0.3)
@@ -129,6 +131,7 @@ def test_stamps_are_arrival_less_the_known_latency(projector: Projector) -> None
     assert max(ages) < 0.05 + 2.5 / RATE
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("how", ["frozen", "repeating"])
 def test_frozen_camera(projector: Projector, how: str) -> None:
     """Whether nothing comes any more, or the same picture for ever."""
@@ -143,6 +146,7 @@ def test_frozen_camera(projector: Projector, how: str) -> None:
         assert "0.35 s" in says
 
 
+@pytest.mark.realtime
 def test_drawn_pictures_may_repeat(projector: Projector) -> None:
     with opened(projector.server.url, repeats_are_stale=False) as camera:
         projector.repeat = True
@@ -150,6 +154,7 @@ def test_drawn_pictures_may_repeat(projector: Projector) -> None:
         assert camera.read().sequence > 10
 
 
+@pytest.mark.realtime
 def test_dropped_stream_is_reported_and_comes_back(projector: Projector) -> None:
     with opened(projector.server.url) as camera:
         before = camera.read().sequence
@@ -190,6 +195,7 @@ def test_no_such_camera(source: str, says: str) -> None:
         pass
 
 
+@pytest.mark.realtime
 def test_recording_plays_at_its_own_speed_and_ends(tmp_path: Path) -> None:
     path = tmp_path / "recording.avi"
     writer = cv2.VideoWriter(
@@ -213,3 +219,31 @@ def test_closed_camera(projector: Projector) -> None:
     camera.close()
     with pytest.raises(CameraError, match="not open"):
         camera.read()
+
+
+# --- on simulated time -----------------------------------------------------------------------
+
+
+def test_age_of_what_is_read_and_when_it_is_refused(site: Site) -> None:
+    """A picture is refused as soon as it is too old, and taken again when there is a new one."""
+    with opened("http://camera/stream.mjpg") as camera:
+        stamps = []
+        for _ in range(100):
+            site.world.sleep(0.013)
+            frame = camera.read()
+            assert site.world.now - frame.stamp <= 0.1 + 1e-6
+            stamps.append(frame.stamp)
+        assert len(set(stamps)) == pytest.approx(13, abs=1)
+        for trouble in ("frozen", "dropped"):
+            last = camera.read().stamp
+            setattr(site.film, trouble, True)
+            site.world.sleep(last + 0.34 - site.world.now)
+            assert camera.read().stamp == last
+            site.world.sleep(0.02)
+            with pytest.raises(StaleFrameError, match=trouble):
+                camera.read()
+            site.world.sleep(1.5)
+            setattr(site.film, trouble, False)
+            site.world.sleep(0.5)
+            assert camera.read().stamp > last + 1.5
+    assert site.film.opened == site.film.released > 1

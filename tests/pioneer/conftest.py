@@ -1,28 +1,27 @@
-"""Fixtures for tests against the emulator."""
+"""Fixtures for tests of the driver."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 
 import pytest
-from pioneer_bench import Bench, make_port
+from pioneer_bench import Bench
+from virtual_robot import Site
 
-from hal.pioneer.emulator.character import ARCOS, Personality, character
-from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.firmware import Firmware
+from hal.pioneer.emulator.character import ARCOS, Personality
 
 
 @pytest.fixture
-def bench() -> Iterator[Callable[..., Bench]]:
-    """Return a maker of benches, which are taken down after the test."""
-    with ExitStack() as stack:
+def bench(site: Site) -> Callable[..., Bench]:
+    """Return a maker of benches on simulated time."""
 
-        def make(
-            kind: str = "pty", subclass: str = "p3dx-sh", personality: Personality = ARCOS
-        ) -> Bench:
-            firmware = Firmware(character(subclass, personality))
-            emulator = stack.enter_context(Emulator(firmware, make_port(kind)))
-            return Bench(emulator)
+    def make(
+        kind: str = "pty",
+        subclass: str = "p3dx-sh",
+        personality: Personality = ARCOS,
+        seed: int = 0,
+    ) -> Bench:
+        url = "/dev/robot" if kind == "pty" else "socket://robot:8101"
+        return Bench(site, site.robot(url, subclass, personality, seed))
 
-        yield make
+    return make

@@ -17,6 +17,7 @@ from visctrl.config import (
     scenario_title,
     to_yaml,
 )
+from visctrl.experiments.study import study_names, study_title
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.schemes import SCHEMES, missing_plugins
@@ -30,6 +31,7 @@ def show_everything() -> None:
     console = Console() if sys.stdout.isatty() else Console(width=_WIDE)
     registries = REGISTRIES
     _show(console, "scenarios", ((name, scenario_title(name)) for name in scenario_names()))
+    _show(console, "studies", ((name, study_title(name)) for name in study_names()))
     _show(console, "robots", ((name, load_robot(name).title) for name in robot_names()))
     _show(console, "cameras", ((name, _camera_line(name)) for name in camera_names()))
     schemes = []

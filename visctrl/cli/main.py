@@ -204,6 +204,25 @@ def config_command(
     show_scenario(scenario, flag_overrides(settings=settings), resolve=resolve)
 
 
+@app.command("report")
+def report_command(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run directories.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="The page; RUN/report.html or, for several runs, comparison.html if left out.",
+        ),
+    ] = None,
+) -> None:
+    """Make a run's report.html again, or compare several runs on one page."""
+    from visctrl.cli.report import report
+
+    raise typer.Exit(report(runs, out))
+
+
 @app.command("reproduce")
 def reproduce_command(
     names: Annotated[
@@ -228,6 +247,41 @@ def reproduce_command(
         show_entries()
         return
     raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json))
+
+
+@app.command("study")
+def study_command(
+    study: Annotated[
+        str, typer.Argument(metavar="FILE", help="A study's YAML file, or the name of one.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the table; runs/study-NAME if left out."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Processes; one a core if left out.")
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Run on a Dask cluster, as tcp://host:8786."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary on stdout, and only that.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+) -> None:
+    """Run a scenario many times: over a grid, with random values, starts and seeds.
+
+    Stopped in any way, the same command goes on with the runs that are missing. Exit code: 0 if
+    every run has ended (whether or not it arrived), 1 if some could not be run, 2 bad input.
+    """
+    from visctrl.cli.study import study as run_study
+
+    try:
+        code = run_study(study, out, workers, cluster, as_json=as_json, quiet=quiet)
+    except KeyboardInterrupt:
+        code = _INTERRUPTED
+    raise typer.Exit(code)
 
 
 add_hardware_commands(app)

@@ -15,6 +15,7 @@ from robots.documents import Document
 from visctrl.estimation.epipolar_location import LocationFilter
 from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
 from visctrl.estimation.epipole_pairs import Calibrated, PairFollower, Solver, solver_for
+from visctrl.geometry.epipolar_planar import ONE_PLANE
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
 Array = NDArray[np.float64]
@@ -122,8 +123,12 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         sigma, turn = views.sigma, sent.omega * dt
         target = self._pair("target", (views.current, views.target), sigma, (turn, 0.0))
         initial = self._pair("initial", self._reference_rays(views), sigma, (0.0, turn))
-        if self._fixed is None or self._fixed.health is Health.LOST:
+        if self._fixed is None or not self._fixed.usable(self.options.sd_limit_rad):
             self._fixed = self._pair("fixed", (views.initial, views.target), sigma, (0.0, 0.0))
+            if not self._fixed.usable(self.options.sd_limit_rad):
+                reason = f"start and target cannot be told apart: {_problem(self._fixed)}"
+                self._last = EpipoleEstimate(Health.LOST, reason)
+                return self._last
         self._locate(views, target, initial)
         self._store(views, target)
         aligned = None
@@ -232,3 +237,13 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         due = self._within * self.context.period_s >= 1.0 if after is None else self._time >= after
         if due:
             self._aligned = _StoredView(views.ids.copy(), views.current.copy())
+
+
+def _problem(pair: EpipolePair) -> str:
+    """Return why a pair of views does not do, and what to do."""
+    if pair.reason == ONE_PLANE:
+        return pair.reason
+    if pair.reason:
+        return f"{pair.reason}; start farther from the target, or where more is to be seen"
+    sd = np.degrees(max(pair.sd_a, pair.sd_b))
+    return f"the epipoles are known to {sd:.0f} deg only: start farther from the target"

@@ -107,6 +107,11 @@ _ENTRIES = (
         "visctrl.experiments.trifocal:figure_3_7",
     ),
     Entry(
+        "trifocal-2d",
+        "the earlier scheme on the 2D tensor against the 1D tensor (bounds are the project's own)",
+        "visctrl.experiments.trifocal:earlier_scheme",
+    ),
+    Entry(
         "robot-3.14",
         "the trifocal robot experiment on the simulator (bounds are the project's own)",
         "visctrl.experiments.trifocal:robot_3_14",

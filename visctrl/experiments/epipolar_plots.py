@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from visctrl.experiments.image_motion import draw_motion
-from visctrl.report.plots import Ticks, read_ticks
+from visctrl.report.ticks import Ticks, read_ticks
 
 #: Panels over time: title, column of ``ticks.csv``, factor.
 _PANELS = (

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from robots.errors import VisctrlError
+from visctrl.experiments.workers import Died, LocalWorkers, default_workers
+
+__all__ = ["Job", "default_workers", "run_job", "run_jobs"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,12 @@ class Job:
     settings: tuple[str, ...] = ()
     out: Path | None = None
     image_motion: bool = False
+
+
+class WorkerDiedError(VisctrlError):
+    """The process of a run died, and died again when it was repeated."""
+
+    exit_code = 3
 
 
 def run_job(job: Job) -> dict[str, Any]:
@@ -63,30 +72,22 @@ def run_jobs(
         Processes at a time.
     on_done : callable
         Called in this process as (index, summary) whenever a run has ended.
+
+    Raises
+    ------
+    WorkerDiedError
+        The process of a run died twice; the message names the run.
     """
     results: dict[int, dict[str, Any]] = {}
-    # Spawned, not forked: a forked child would share PyBullet's and OpenCV's threads and locks.
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_one_thread) as pool:
-        futures = {pool.submit(run_job, job): index for index, job in enumerate(jobs)}
-        try:
-            for future in as_completed(futures):
-                index = futures[future]
-                results[index] = future.result()
-                on_done(index, results[index])
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with closing(LocalWorkers(workers).each(_run_numbered, list(enumerate(jobs)))) as done:
+        for (index, job), summary in done:
+            if isinstance(summary, Died):
+                named = " ".join((job.scenario, *job.settings))
+                raise WorkerDiedError(f"run {index} ({named}): {summary.reason}")
+            results[index] = summary
+            on_done(index, summary)
     return [results[index] for index in range(len(jobs))]
 
 
-def default_workers() -> int:
-    """Return how many runs go side by side: one a core."""
-    return os.cpu_count() or 1
-
-
-def _one_thread() -> None:
-    """Keep one worker to one core; they are as many as there are cores."""
-    import cv2
-
-    cv2.setNumThreads(1)
+def _run_numbered(numbered: tuple[int, Job]) -> dict[str, Any]:
+    return run_job(numbered[1])

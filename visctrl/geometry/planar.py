@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrap_angle
+from visctrl.geometry.parallax import signed_parallax
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -145,9 +146,9 @@ def ransac_planar_motion(
     first = rng.integers(0, len(a), hypotheses)
     second = (first + rng.integers(1, len(a), hypotheses)) % len(a)
     sample = np.stack([first, second], axis=-1)
-    theta, alpha = _two_point(a[sample], b[sample])
+    theta, alpha = two_point_motions(a[sample], b[sample])
     limit = threshold_sigmas * sigma
-    squared = _squared_residuals(a, b, theta, alpha)
+    squared = squared_residuals(a, b, theta, alpha)
     best = int(np.argmin(np.minimum(squared, limit**2).sum(axis=1)))
     phi, direction = float(alpha[best] - theta[best]), float(theta[best])
     direction = _towards_points(a, b, phi, direction, sigma)
@@ -206,7 +207,7 @@ def refine_planar_motion(
     )
 
 
-def _two_point(a: Array, b: Array) -> tuple[Array, Array]:
+def two_point_motions(a: Array, b: Array) -> tuple[Array, Array]:
     """Return (θ, α) (2H,) of the motions through samples (H, 2, 3).
 
     With m = (cos θ, sin θ), n = (cos α, sin α) the constraints read P m + Q n = 0, so that
@@ -233,7 +234,7 @@ def _two_point(a: Array, b: Array) -> tuple[Array, Array]:
     return theta, alpha
 
 
-def _squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
+def squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
     """Return squared Sampson residuals (H, N) of H motions for N features."""
     A = np.outer(np.cos(theta), a[:, 0]) - np.outer(np.sin(theta), a[:, 1])
     B = np.outer(np.sin(alpha), b[:, 1]) - np.outer(np.cos(alpha), b[:, 0])
@@ -347,36 +348,6 @@ def _direction_information(
     sure, doubt = debiased(np.where(linear.noise < _MAX_NOISE, weights, 0.0))
     everything, doubt_everything = debiased(weights)
     return sure / max(doubt, 1e-12), max(sure, everything - 2.0 * doubt_everything)
-
-
-def signed_parallax(rays_a: ArrayLike, rays_b: ArrayLike, phi: float, direction: float) -> Array:
-    """Return the sine (N,) of the angle between the rays of each feature, the turn removed.
-
-    Positive where the rays meet in front of both views, negative where they meet behind.
-    """
-    a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
-    return meeting(_along_baseline(a, direction), _along_baseline(b, direction + phi))
-
-
-def meeting(a: Array, b: Array) -> Array:
-    """Return |a × b| (N,) of vectors (3, N), negative where the lines along them meet behind.
-
-    The vectors' components are (along, across, up) the baseline; those that meet behind do so
-    against their own sense, seen from b's centre a step along the baseline from a's.
-    """
-    across = a[2] * b[0] - a[0] * b[2]
-    up = a[0] * b[1] - a[1] * b[0]
-    along = a[1] * b[2] - a[2] * b[1]
-    # λ_a a − λ_b b = baseline: the sum of both depths is this over |a × b|².
-    depths = up * (a[1] + b[1]) - across * (a[2] + b[2])
-    return np.asarray(np.copysign(np.sqrt(along**2 + across**2 + up**2), depths))
-
-
-def _along_baseline(rays: Array, bearing: float) -> Array:
-    """Return rays (N, 3) as components (3, N) along, across (to the right) and above a bearing."""
-    s, c = np.sin(bearing), np.cos(bearing)
-    right, forward, up = rays.T
-    return np.stack([s * right + c * forward, c * right - s * forward, up])
 
 
 def _towards_points(a: Array, b: Array, phi: float, direction: float, sigma: float) -> float:

@@ -150,6 +150,7 @@ class Registries:
             Estimator,
             {
                 "tensor": "visctrl.estimation.tensor:Tensor",
+                "tensor2d": "visctrl.estimation.tensor2d:Tensor2d",
                 "planar-motion": "visctrl.estimation.planar_motion:PlanarMotionEstimator",
                 "epipoles": "visctrl.estimation.epipoles:Epipoles",
                 "transfer": "visctrl.estimation.pose_transfer:PoseTransfer",
@@ -164,6 +165,7 @@ class Registries:
             Controller,
             {
                 "trifocal-smc": "visctrl.control.trifocal_smc:TrifocalSmc",
+                "trifocal2d": "visctrl.control.trifocal2d:Trifocal2d",
                 "face-target": "visctrl.control.face_target:FaceTarget",
                 "epipolar-smc": "visctrl.control.epipolar_smc:EpipolarSmc",
                 "epipolar-smooth": "visctrl.control.epipolar_smooth:EpipolarSmooth",

@@ -14,6 +14,7 @@ from hal.pioneer.emulator.firmware import Firmware
 from hal.pioneer.emulator.ports import Port
 from hal.pioneer.emulator.traffic import Traffic
 from hal.pioneer.packet import StreamDecoder
+from hal.pioneer.reports import Type
 from hal.types import Pose, Velocity
 
 #: Longest time between two looks at the line (s). Shorter than the least spacing of commands,
@@ -187,6 +188,6 @@ class Emulator:
         low = "low-battery" in faults
         conditions.battery_v = faults.value("low-battery") if low else _NORMAL_BATTERY_V
         if "reset" in faults and not self._was_reset:
-            for packet in firmware.restart():
+            for packet in firmware.restart(Type(int(faults.value("reset")))):
                 self._to_client.put(self._looked, packet)
         self._was_reset = "reset" in faults

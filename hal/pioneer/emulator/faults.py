@@ -20,7 +20,7 @@ KINDS: dict[str, float | None] = {
     "silent": None,
     "deaf": None,
     "rubbish": None,
-    "reset": None,
+    "reset": 255.0,
     "stall": None,
     "bumper": None,
     "estop": None,
@@ -39,7 +39,8 @@ class Fault:
     """One fault.
 
     kind : one of `KINDS`.
-    value : probability per byte (lost, corrupt), seconds (delay), volts (low-battery).
+    value : probability per byte (lost, corrupt), seconds (delay), volts (low-battery), type of
+        the packet that says so (reset: 255 or 254).
     start : seconds after the robot first moves; None for a fault that is always there.
     length : how long it lasts (s); None for ever.
     """

@@ -153,10 +153,10 @@ class Firmware:
         """End the session: the client has gone, and the line says so."""
         self._end()
 
-    def restart(self) -> list[bytes]:
-        """Start anew, as after a brown-out, and say so."""
+    def restart(self, says: Type = Type.RESET_B) -> list[bytes]:
+        """Start anew, as after a brown-out, and say so with one of the two packet types."""
         self._end()
-        return [Packet(Type.RESET_B).encode()]
+        return [Packet(says).encode()]
 
     def _synchronise(self, packet: Packet) -> list[bytes]:
         if packet.id == Id.PULSE:

@@ -1,0 +1,261 @@
+"""An emulated robot and a camera on simulated time, for the real driver and the whole program."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import ModuleType
+
+import cv2
+import numpy as np
+import pytest
+import serial
+from numpy.typing import NDArray
+from virtual_time import VirtualTime
+
+import hal.capture
+import hal.clock
+import hal.pioneer.base
+import hal.pioneer.emulator.emulator
+import hal.pioneer.link
+import visctrl.runtime.watchdog
+from hal.pioneer.emulator.character import ARCOS, Personality, character
+from hal.pioneer.emulator.emulator import Emulator
+from hal.pioneer.emulator.firmware import Firmware
+from hal.pioneer.emulator.ports import Port
+from hal.types import Velocity
+
+#: Where code keeps time that simulated time must reach.
+_MODULES: tuple[ModuleType, ...] = (
+    hal.capture,
+    hal.clock,
+    hal.pioneer.base,
+    hal.pioneer.emulator.emulator,
+    hal.pioneer.link,
+    visctrl.runtime.watchdog,
+)
+_CHUNK = 4096
+
+
+def keep_time(world: VirtualTime, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the driver, the emulator, the camera and the run live on simulated time."""
+    for module in _MODULES:
+        for name in ("time", "threading"):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, getattr(world, name))
+
+
+class Line:
+    """A serial line or TCP connection: the robot's end as a `Port`, the client's as pyserial's.
+
+    Parameters
+    ----------
+    world : VirtualTime
+        When bytes arrive.
+    url : str
+        ``socket://`` notices when its client hangs up; a terminal does not.
+    """
+
+    def __init__(self, world: VirtualTime, url: str) -> None:
+        self.world = world
+        self.url = url
+        self.down, self.up = bytearray(), bytearray()  # to the robot, to the client
+        self.open = False
+        self.hung_up = False
+        self.client_lost = False
+
+    def connect(self, **options: object) -> Client:
+        """Open the client's end."""
+        assert options.get("exclusive") is True
+        if self.open:
+            raise serial.SerialException("Could not exclusively lock port")
+        self.open = True
+        self.up.clear()
+        return Client(self, float(str(options["timeout"])))
+
+    def port(self) -> RobotEnd:
+        """Return the robot's end."""
+        return RobotEnd(self)
+
+
+class RobotEnd(Port):
+    """Of a `Line`."""
+
+    def __init__(self, line: Line) -> None:
+        self.url = line.url
+        self._line = line
+
+    def wait(self, seconds: float) -> None:
+        self._line.world.wait(lambda: bool(self._line.down), seconds)
+
+    def read(self) -> bytes:
+        return _taken(self._line.down, _CHUNK)
+
+    def write(self, data: bytes) -> None:
+        self._line.up += data[: _CHUNK - len(self._line.up)]
+
+    def close(self) -> None:
+        self._line.hung_up = True
+
+    def lost_client(self) -> bool:
+        lost, self._line.client_lost = self._line.client_lost, False
+        return lost and self._line.url.startswith("socket:")
+
+
+class Client:
+    """What `serial.serial_for_url` returns for a `Line`."""
+
+    def __init__(self, line: Line, timeout: float) -> None:
+        self._line = line
+        self._timeout = timeout
+        self.baudrate = 9600
+
+    def read(self, size: int) -> bytes:
+        line = self._line
+        line.world.wait(lambda: len(line.up) >= size or line.hung_up, self._timeout)
+        if line.hung_up and not line.up:
+            raise serial.SerialException("socket disconnected")
+        return _taken(line.up, size)
+
+    def write(self, data: bytes) -> None:
+        if self._line.hung_up:
+            raise BrokenPipeError(32, "Broken pipe")
+        self._line.down += data
+
+    def reset_input_buffer(self) -> None:
+        self._line.up.clear()
+
+    def close(self) -> None:
+        self._line.open = False
+        self._line.client_lost = True
+
+
+def _taken(buffer: bytearray, count: int) -> bytes:
+    data = bytes(buffer[:count])
+    del buffer[:count]
+    return data
+
+
+@dataclass
+class Ports:
+    """All lines there are; stands in for `serial.serial_for_url`."""
+
+    lines: dict[str, Line] = field(default_factory=dict)
+
+    def serial_for_url(self, url: str, **options: object) -> Client:
+        if url not in self.lines:
+            raise serial.SerialException(2, f"could not open port {url}: No such file or directory")
+        return self.lines[url].connect(**options)
+
+
+@dataclass
+class Film:
+    """A camera whose pictures are noise, and what is wrong with it.
+
+    frozen : no picture comes any more. dropped : nor does a connection. size : of the pictures.
+    opened, released : how often.
+    """
+
+    world: VirtualTime
+    size: tuple[int, int] = (160, 120)
+    rate: float = 10.0
+    frozen: bool = False
+    dropped: bool = False
+    opened: int = 0
+    released: int = 0
+
+    def capture(self, source: object, *options: object) -> Capture:
+        """Stand in for `cv2.VideoCapture`."""
+        return Capture(self, source)
+
+
+class Capture:
+    """What `cv2.VideoCapture` returns for a stream with timeouts."""
+
+    READ_S, OPEN_S = 1.0, 3.0
+
+    def __init__(self, film: Film, source: object) -> None:
+        self._film = film
+        self._taken = 0
+        if film.frozen:
+            film.world.wait(lambda: not film.frozen, self.OPEN_S)
+        self._up = str(source).startswith("http://camera") and not (film.dropped or film.frozen)
+        film.opened += self._up
+
+    def isOpened(self) -> bool:
+        return self._up
+
+    def get(self, what: int) -> float:
+        return 0.0
+
+    def grab(self) -> bool:
+        film = self._film
+        film.world.wait(lambda: film.dropped, 1.0 / film.rate)
+        if film.frozen and not film.dropped:
+            film.world.wait(lambda: not film.frozen or film.dropped, self.READ_S)
+        return not (film.dropped or film.frozen)
+
+    def retrieve(self) -> tuple[bool, NDArray[np.uint8]]:
+        self._taken += 1
+        width, height = self._film.size
+        noise = np.random.default_rng(self._taken)
+        return True, noise.integers(0, 255, (height, width, 3), dtype=np.uint8)
+
+    def release(self) -> None:
+        self._film.released += self._up
+        self._up = False
+
+
+@dataclass
+class Site:
+    """Robots and a camera on simulated time."""
+
+    world: VirtualTime
+    film: Film
+    ports: Ports
+    robots: list[Emulator] = field(default_factory=list)
+
+    def robot(
+        self,
+        url: str = "/dev/robot",
+        subclass: str = "p3dx-sh",
+        personality: Personality = ARCOS,
+        seed: int = 0,
+    ) -> Emulator:
+        """Switch a robot on; its port is in ``url``."""
+        line = self.ports.lines[url] = Line(self.world, url)
+        firmware = Firmware(character(subclass, personality))
+        emulator = Emulator(firmware, line.port(), seed=seed)
+        emulator.__enter__()
+        self.robots.append(emulator)
+        return emulator
+
+    def line(self, robot: Emulator) -> Line:
+        return self.ports.lines[robot.url]
+
+    def meanwhile(self, act: Callable[[], object]) -> None:
+        """Do something in a thread of its own."""
+        self.world.start(act, "test")
+
+    def wait_until(self, done: Callable[[], bool], limit: float = 10.0) -> float:
+        """Let time pass until something is so; return how long it took (s)."""
+        began = self.world.now
+        while not done():
+            assert self.world.now < began + limit, "it never happened"
+            self.world.sleep(0.002)
+        return self.world.now - began
+
+    def at_speed(self, robot: Emulator, velocity: Velocity) -> None:
+        """Let time pass until the robot drives that fast."""
+        self.wait_until(lambda: abs(robot.velocity.v - velocity.v) < 1e-9)
+
+
+def make_site(monkeypatch: pytest.MonkeyPatch, world: VirtualTime) -> Site:
+    """Return an empty site whose ports and camera are those that programs find."""
+    assert threading.current_thread() is threading.main_thread()
+    keep_time(world, monkeypatch)
+    site = Site(world, Film(world), Ports())
+    monkeypatch.setattr(serial, "serial_for_url", site.ports.serial_for_url)
+    monkeypatch.setattr(cv2, "VideoCapture", site.film.capture)
+    return site

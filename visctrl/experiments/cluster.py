@@ -1,0 +1,123 @@
+"""Work spread over a Dask cluster."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable
+from concurrent.futures import CancelledError
+from typing import Any, TypeVar
+
+from hal.errors import DeviceError
+from robots.errors import InputError
+from visctrl.experiments.workers import Died, Results, limit_threads, stream
+from visctrl.runtime.summary import versions
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+CONNECT_S = 10.0
+#: Items under way at a time: enough for any cluster, and for workers that join later.
+_WINDOW = 2000
+
+
+class ClusterError(DeviceError):
+    """The cluster went away in the middle of its work."""
+
+
+class ClusterWorkers:
+    """The workers of a Dask scheduler.
+
+    One that dies is replaced by the others; an item that has outlived several workers is given
+    up (Dask's ``distributed.scheduler.allowed-failures``).
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, as ``tcp://10.0.0.5:8786``.
+
+    Raises
+    ------
+    InputError
+        Dask is not installed, nothing answers, or a worker has other versions than this machine.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            import distributed
+        except ImportError:
+            raise InputError(
+                "--cluster needs Dask's distributed: pip install 'visctrl[cluster]'"
+            ) from None
+        # Lost connections are reported below, in one line.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._address = address
+        try:
+            connect: Any = distributed.Client
+            self._client = connect(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError, TypeError, ImportError) as error:
+            raise InputError(f"--cluster {address}: no Dask scheduler answers: {error}") from None
+        try:
+            self._client.wait_for_workers(1, timeout=CONNECT_S)
+            _compare(address, self._client.run(_worker_versions, on_error="return"))
+        except TimeoutError:
+            self.close()
+            raise InputError(
+                f"--cluster {address}: the scheduler has no workers: start some with `dask worker "
+                f"{address} --nthreads 1`"
+            ) from None
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of the scheduler; what is queued for this client is dropped."""
+        self._client.close(timeout=CONNECT_S)
+
+    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
+        """Yield every item with its result (see `Workers`).
+
+        Raises
+        ------
+        ClusterError
+            The scheduler is gone.
+        """
+        from distributed.scheduler import KilledWorker
+
+        executor = self._client.get_executor(pure=False)
+        try:
+            for item, future in stream(
+                lambda item: executor.submit(work, item), items, lambda: _WINDOW
+            ):
+                try:
+                    result = future.result()
+                except KilledWorker as error:
+                    tried = error.allowed_failures + 1
+                    yield item, Died(f"{tried} workers in a row died while they ran it")
+                except CancelledError:
+                    raise ClusterError(f"the Dask scheduler at {self._address} is gone") from None
+                else:
+                    yield item, result
+        finally:
+            executor.shutdown(wait=False)
+
+
+def _worker_versions() -> dict[str, str]:
+    """Return the versions on a worker, and keep it to one thread a run from here on."""
+    limit_threads()
+    return versions()
+
+
+def _compare(address: str, found: dict[str, Any]) -> None:
+    """Raise `InputError` where a worker would compute with other software than is here."""
+    for worker, theirs in found.items():
+        if isinstance(theirs, Exception):
+            raise InputError(
+                f"--cluster {address}: worker {worker} cannot use visctrl: "
+                f"{type(theirs).__name__}: {theirs}; install the same version there"
+            )
+        for name, ours in versions().items():
+            if theirs.get(name) != ours:
+                raise InputError(
+                    f"--cluster {address}: worker {worker} has {name} {theirs.get(name)}, here it "
+                    f"is {ours}: results would depend on the worker"
+                )

@@ -1,0 +1,88 @@
+"""The table of a study: one row a run, nothing in it that depends on the machine's speed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+TABLE, PARQUET = "table.csv", "table.parquet"
+#: Columns of the final error, by the key in a run's summary, and the factors to their units.
+ERRORS = {"x_cm": ("x_m", 100.0), "y_cm": ("y_m", 100.0), "phi_deg": ("phi_deg", 1.0)}
+#: Further statuses, beside those of a run: its scene cannot be set up; its process died.
+REFUSED, DIED = "refused", "died"
+
+
+def row_of(summary: Mapping[str, Any]) -> Row:
+    """Return what the table keeps of a run's summary."""
+    error = summary["final_error"]
+    row = ended(summary["status"], summary["reason"])
+    if error is not None:
+        row["distance_cm"] = 100.0 * math.hypot(error["x_m"], error["y_m"])
+        row |= {name: factor * error[key] for name, (key, factor) in ERRORS.items()}
+    row["path_m"] = summary["path_length_m"]
+    row["time_s"] = summary["duration_s"]
+    row["ticks"] = summary["ticks"]
+    row["features_min"] = summary["features"]["min"]
+    return row
+
+
+def ended(status: str, reason: str) -> Row:
+    """Return the row of a run that gave no numbers."""
+    numbers = ("distance_cm", *ERRORS, "path_m", "time_s", "ticks", "features_min")
+    return {"status": status, "reason": reason, **dict.fromkeys(numbers)}
+
+
+def write_table(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Write ``table.csv``, and ``table.parquet`` where pandas and pyarrow are installed.
+
+    A file is replaced at once or not at all.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    cells = [{key: _cell(value) for key, value in row.items()} for row in rows]
+    path = folder / TABLE
+    with _replacing(path) as fresh, fresh.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(cells[0]) if cells else [], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(cells)
+    try:
+        import pandas
+        import pyarrow  # noqa: F401
+    except ImportError:
+        return [path]
+    parquet = folder / PARQUET
+    with _replacing(parquet) as fresh:
+        pandas.DataFrame(cells).to_parquet(fresh, index=False)
+    return [path, parquet]
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file at once or not at all."""
+    with _replacing(path) as fresh:
+        fresh.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    fresh = path.with_name(path.name + ".new")
+    try:
+        yield fresh
+        os.replace(fresh, path)
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def _cell(value: Any) -> Any:
+    """Return what one cell holds: a list or a mapping as JSON."""
+    return json.dumps(value) if isinstance(value, list | dict | tuple) else value
