@@ -64,7 +64,8 @@ class Calibrated:
         """Return the motion that most of the rays (N, 3) agree with."""
         motion = ransac_planar_motion(a, b, sigma, seed=seed, hypotheses=hypotheses)
         if motion.health is Health.OK and rival_motion(a, b, motion, sigma, seed=seed) is not None:
-            return replace(motion, health=Health.DEGENERATE, reason=ONE_PLANE)
+            unknown = np.diag([np.inf, np.inf])
+            return replace(motion, covariance=unknown, health=Health.DEGENERATE, reason=ONE_PLANE)
         return motion
 
     def refine(

@@ -34,8 +34,9 @@ _KERNEL_SIGMAS = 1.5
 _BASELINE_SIGNIFICANCE = 5.0
 #: A feature's parallax is at most this many times the usual one.
 _NEAREST = 10.0
-#: Noise of the θ column (in σ²) beyond which a feature says nothing about the direction.
-_MAX_NOISE = 4.0
+#: Noise of the θ column (in σ²) up to which a feature always says something about the direction,
+#: and the multiple of the usual noise up to which it does where all have more.
+_MAX_NOISE, _USUAL_NOISE = 4.0, 10.0
 #: Standard deviations (rad) beyond which a motion counts as undetermined.
 _MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
 #: A step shorter than this part of a ray's noise ends a descent.
@@ -337,17 +338,19 @@ def _direction_information(
 
     With a short baseline the noise itself makes the θ column non-zero; its share is taken out
     of the information, or the direction would look known when it is not. Rays along the
-    baseline and level with the camera have a column of mostly noise: they may add information,
-    but do not take part in the test.
+    baseline and level with the camera have a column of mostly noise, for a perspective camera
+    that drives ahead nearly all of them: each counts in the test by how little of it is.
     """
 
     def debiased(w: Array) -> tuple[float, float]:
         signal = float(np.sum(w * (linear.jacobian[:, 1] ** 2 / variance - linear.noise)))
         return signal, np.sqrt(2.0 * float(np.sum((w * linear.noise) ** 2)))
 
-    sure, doubt = debiased(np.where(linear.noise < _MAX_NOISE, weights, 0.0))
+    shown, doubt = debiased(weights / (1.0 + linear.noise))
+    loud = max(_MAX_NOISE, _USUAL_NOISE * float(np.median(linear.noise)))
+    sure, _ = debiased(np.where(linear.noise < loud, weights, 0.0))
     everything, doubt_everything = debiased(weights)
-    return sure / max(doubt, 1e-12), max(sure, everything - 2.0 * doubt_everything)
+    return shown / max(doubt, 1e-12), max(sure, everything - 2.0 * doubt_everything)
 
 
 def _towards_points(a: Array, b: Array, phi: float, direction: float, sigma: float) -> float:
