@@ -15,7 +15,6 @@ from typing import Any, ClassVar, Protocol
 
 from hal.types import Pose
 from robots.errors import InputError
-from robots.unicycle import to_rep103
 from visctrl.plugins import Signal
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 
@@ -222,5 +221,5 @@ def _core(record: TickRecord) -> tuple[object, ...]:
 
 def _tum(t: float, pose: Pose) -> str:
     """Return one line of a TUM trajectory: time, position, quaternion."""
-    x, y, yaw = (float(value) for value in to_rep103(pose))
+    x, y, yaw = pose.y, -pose.x, pose.phi  # REP-103, as `robots.unicycle.to_rep103`
     return f"{t:.6f} {x:.9f} {y:.9f} 0 0 0 {math.sin(yaw / 2):.12f} {math.cos(yaw / 2):.12f}\n"
