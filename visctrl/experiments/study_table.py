@@ -16,6 +16,12 @@ Row = dict[str, Any]
 TABLE, PARQUET = "table.csv", "table.parquet"
 #: Columns of the final error, by the key in a run's summary, and the factors to their units.
 ERRORS = {"x_cm": ("x_m", 100.0), "y_cm": ("y_m", 100.0), "phi_deg": ("phi_deg", 1.0)}
+#: A pose filter's account of itself: the mean per degree of freedom, the share inside its bounds.
+_JUDGED, _KEPT = ("nees", "nis"), ("mean", "inside")
+_NUMBERS = (
+    *("distance_cm", *ERRORS, "path_m", "time_s", "ticks", "features_min"),
+    *(f"{name}_{key}" for name in _JUDGED for key in _KEPT),
+)
 #: Further statuses, beside those of a run: its scene cannot be set up; its process died.
 REFUSED, DIED = "refused", "died"
 
@@ -31,13 +37,14 @@ def row_of(summary: Mapping[str, Any]) -> Row:
     row["time_s"] = summary["duration_s"]
     row["ticks"] = summary["ticks"]
     row["features_min"] = summary["features"]["min"]
+    for name, judged in ((name, (summary.get("consistency") or {}).get(name)) for name in _JUDGED):
+        row |= {f"{name}_{key}": value for key, value in (judged or {}).items() if key in _KEPT}
     return row
 
 
 def ended(status: str, reason: str) -> Row:
     """Return the row of a run that gave no numbers."""
-    numbers = ("distance_cm", *ERRORS, "path_m", "time_s", "ticks", "features_min")
-    return {"status": status, "reason": reason, **dict.fromkeys(numbers)}
+    return {"status": status, "reason": reason, **dict.fromkeys(_NUMBERS)}
 
 
 def write_table(rows: Sequence[Row], folder: Path) -> list[Path]:
