@@ -95,11 +95,11 @@ class CentralCamera(Document):
         x, y, z = rays[..., 0], rays[..., 1], rays[..., 2]
         norm = np.sqrt(x * x + y * y + z * z)
         seen = self._in_field(z / norm)
-        scale = 1.0 / np.where(seen, z + self.xi * norm, np.nan)
-        x, y = x * scale, y * scale
-        pixels = np.empty((*x.shape, 2))
-        pixels[..., 0] = self.fx * x + self.skew * y + self.cx
-        pixels[..., 1] = self.fy * y + self.cy
+        depth = z + self.xi * norm
+        scale = 1.0 / (depth if seen.all() else np.where(seen, depth, np.nan))
+        pixels = np.empty((*scale.shape, 2))
+        pixels[..., 0] = self._columns(x * scale, y * scale)
+        pixels[..., 1] = y * (self.fy * scale) + self.cy
         return pixels, seen & self.contains(pixels)
 
     def unproject(self, pixels: ArrayLike) -> tuple[Array, Mask]:
@@ -110,10 +110,14 @@ class CentralCamera(Document):
         """
         pixels = np.asarray(pixels, dtype=np.float64)
         y = (pixels[..., 1] - self.cy) / self.fy
-        x = (pixels[..., 0] - self.cx - self.skew * y) / self.fx
+        x = (pixels[..., 0] - self.cx) / self.fx
+        if self.skew != 0.0:
+            x -= self.skew / self.fx * y
         r2 = x * x + y * y
         root = 1.0 + (1.0 - self.xi**2) * r2
-        factor = (self.xi + np.sqrt(np.where(root >= 0.0, root, np.nan))) / (1.0 + r2)
+        if self.xi > 1.0:
+            root = np.where(root >= 0.0, root, np.nan)
+        factor = (self.xi + np.sqrt(root)) / (1.0 + r2)
         rays = np.empty((*x.shape, 3))
         rays[..., 0] = factor * x
         rays[..., 1] = factor * y
@@ -141,10 +145,8 @@ class CentralCamera(Document):
     def contains(self, pixels: ArrayLike) -> Mask:
         """Return whether pixels (..., 2) lie in the image, to the outer edge of its pixels."""
         pixels = np.asarray(pixels, dtype=np.float64)
-        u, v = pixels[..., 0], pixels[..., 1]
-        return np.asarray(
-            (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
-        )
+        inside = (pixels >= -0.5) & (pixels <= self._corner)
+        return np.asarray(inside[..., 0] & inside[..., 1])
 
     # --- geometry in the robot's axes ------------------------------------------------------
 
@@ -224,15 +226,31 @@ class CentralCamera(Document):
         """Return a copy with some fields changed and everything checked again."""
         return CentralCamera.model_validate({**self.model_dump(), **changes})
 
+    def _columns(self, x: Array, y: Array) -> Array:
+        """Return the u coordinates of points on the normalised plane."""
+        u = self.fx * x + self.cx
+        return u + self.skew * y if self.skew != 0.0 else u
+
     def _in_field(self, z: Array) -> Mask:
         """Return whether unit rays with optical-axis component ``z`` are in the field of view."""
+        low, high = self._field
+        return np.asarray((z >= low) & (z <= high))
+
+    @cached_property
+    def _field(self) -> tuple[float, float]:
+        """Least and greatest optical-axis component of a unit ray in the field of view."""
         low = math.cos(math.radians(self.max_polar_deg))
         high = math.cos(math.radians(self.min_polar_deg))
         # Beyond z = −1/ξ the sphere's far side projects onto the same pixels (ξ > 1); for ξ ≤ 1
         # the limit is the plane z = −ξ through the upper centre.
         limit = -1.0 / self.xi if self.xi > 1.0 else -self.xi
         margin = 1e-12
-        return np.asarray((z >= low - margin) & (z <= high + margin) & (z > limit + 1e-9))
+        return max(low - margin, math.nextafter(limit + 1e-9, math.inf)), high + margin
+
+    @cached_property
+    def _corner(self) -> Array:
+        """Outer edge (2,) of the last pixel."""
+        return np.array([self.width - 0.5, self.height - 0.5])
 
 
 @cache

@@ -24,7 +24,7 @@ from hal.types import STANDSTILL, Features, Frame, Odometry, Pose, Velocity
 from robots import Limits, Robot
 from robots.documents import Document
 from robots.model import Mount
-from robots.unicycle import wrap_angle
+from robots.unicycle import along_arc, wrapped
 
 #: Longest step of the motion while delays and ramps shape it, and one that is none (s).
 _STEP_S, _INSTANT_S = 0.01, 1e-12
@@ -309,11 +309,11 @@ class _Motion:
     def camera_pose(self) -> Pose:
         x, y, phi = self._axle
         offset = self._offset
-        return Pose(x - offset * math.sin(phi), y + offset * math.cos(phi), float(wrap_angle(phi)))
+        return Pose(x - offset * math.sin(phi), y + offset * math.cos(phi), wrapped(phi))
 
     def wheel_pose(self) -> Pose:
         x, y, phi = self._wheels
-        return Pose(x, y, float(wrap_angle(phi)))
+        return Pose(x, y, wrapped(phi))
 
     def halt(self) -> None:
         self.actuation.halt()
@@ -326,20 +326,3 @@ def _scattered(scatter: Scatter, rng: np.random.Generator) -> Velocity:
         return STANDSTILL
     v, omega = rng.normal(size=2).tolist()
     return Velocity(v * scatter.v_m_s, omega * math.radians(scatter.omega_deg_s))
-
-
-def along_arc(
-    pose: tuple[float, float, float], velocity: Velocity, dt: float
-) -> tuple[float, float, float]:
-    """Return one pose (x, y, φ) moved along the exact arc of a constant velocity.
-
-    It is `robots.unicycle.step_exact` for a single pose without offset, in plain floats: a
-    hundredth of the cost of an array operation, in the innermost loop of every study.
-    """
-    x, y, phi = pose
-    half = velocity.omega * dt / 2.0
-    chord = velocity.v * dt
-    if abs(half) > 1e-9:
-        chord *= math.sin(half) / half
-    middle = phi + half
-    return x - chord * math.sin(middle), y + chord * math.cos(middle), phi + 2.0 * half

@@ -23,6 +23,29 @@ def wrap_angle(angle: ArrayLike) -> Array:
     return np.asarray(wrapped, dtype=np.float64)
 
 
+def wrapped(angle: float) -> float:
+    """Return one angle (rad) wrapped to (−π, π]: `wrap_angle` for a plain float."""
+    return math.pi - (math.pi - angle) % math.tau
+
+
+def along_arc(
+    pose: tuple[float, float, float], velocity: tuple[float, float], dt: float
+) -> tuple[float, float, float]:
+    """Return one pose (x, y, φ) moved along the exact arc of a constant velocity (v, ω).
+
+    It is `step_exact` for a single pose without offset, in plain floats: a hundredth of the
+    cost of an array operation, in the innermost loop of every study.
+    """
+    x, y, phi = pose
+    v, omega = velocity
+    half = omega * dt / 2.0
+    chord = v * dt
+    if abs(half) > 1e-9:
+        chord *= math.sin(half) / half
+    middle = phi + half
+    return x - chord * math.sin(middle), y + chord * math.cos(middle), phi + 2.0 * half
+
+
 def step_exact(
     pose: ArrayLike, v: ArrayLike, omega: ArrayLike, dt: float, offset: float = 0.0
 ) -> Array:

@@ -14,11 +14,11 @@ from pydantic import ValidationError
 
 from hal.central_camera import CentralCamera, camera_names, load_camera
 from hal.errors import InputError, LinkError
-from hal.mock import MockBackend, MockOptions, along_arc
+from hal.mock import MockBackend, MockOptions
 from hal.mock_scene import scatter, seen_from
 from hal.types import Pose, Velocity
 from robots import Limits, load_robot
-from robots.unicycle import step_exact
+from robots.unicycle import along_arc, step_exact
 
 ROBOT = load_robot("p3dx")
 IDEAL = MockOptions(ideal=True)

@@ -31,7 +31,7 @@ MakePlan = Callable[..., Plan]
 
 FILES = {
     *("config.yaml", "ticks.csv", "trajectory.tum", "summary.json"),
-    *("target.png", "initial.png", "final.png", "plots.png"),
+    *("target.png", "initial.png", "final.png", "report.html"),
 }
 
 
@@ -74,7 +74,6 @@ def assert_stopped(backend: SpyBackend) -> None:
 # --- ends ------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("real_plots")
 def test_a_run_that_finishes_on_the_target_is_reached(toy_plan: MakePlan, tmp_path: Path) -> None:
     out = tmp_path / "run"
     outcome, backend, watcher = run(toy_plan(), out)

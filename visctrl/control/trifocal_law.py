@@ -69,9 +69,10 @@ class Situation(NamedTuple):
         the axle: turning on the spot then keeps the position reached.
         """
         # Dividing by T121 hides its sign; where the estimate knows it, it is put back.
-        T = estimate.elements * math.copysign(1.0, estimate.scale_m)
+        sign = math.copysign(1.0, estimate.scale_m)
+        T: list[float] = (estimate.elements * sign).tolist()
         scale = abs(estimate.scale_m)
-        xi_1, xi_2 = float(T[T112] + T[T121]), float(T[T212] + T[T221])
+        xi_1, xi_2 = T[T112] + T[T121], T[T212] + T[T221]
         s, c = math.sin(estimate.phi_1), math.cos(estimate.phi_1)
         heading = estimate.heading
         right, forward = c * xi_2 + s * xi_1, c * xi_1 - s * xi_2
@@ -84,14 +85,14 @@ class Situation(NamedTuple):
             Outputs(xi_1, xi_2),
             right,
             forward,
-            float(estimate.target_sd[0]),
+            estimate.target_sd[0],
             estimate.phi_1,
             estimate.phi_1_sd,
             scale,
             heading,
-            estimate.determinant * math.copysign(1.0, estimate.scale_m),
-            float(T[T122] / T[T112]) if T[T112] != 0.0 else 0.0,
-            float(T[T222] - T[T211]),
+            estimate.determinant * sign,
+            T[T122] / T[T112] if T[T112] != 0.0 else 0.0,
+            T[T222] - T[T211],
         )
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
 from hal.types import STANDSTILL, Velocity
@@ -158,7 +157,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
 
     def _starts_there(self, estimate: TensorEstimate) -> bool:
         """Return whether nothing but a turn is left to do, and go on to that."""
-        there = estimate.health is Health.OK and float(np.hypot(*estimate.outputs)) < _THERE
+        there = estimate.health is Health.OK and math.hypot(*estimate.outputs) < _THERE
         if there:
             self._phase = "orientation"
         return there

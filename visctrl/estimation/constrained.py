@@ -7,11 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.types import Velocity
-from robots.unicycle import relative_pose
+from hal.types import Pose, Velocity
 from visctrl.estimation.initial_from_bearings import InitialFromBearings
 from visctrl.estimation.initial_view import InitialView, InitialViewFilter
-from visctrl.estimation.scale import DeadReckoning, PathScale
+from visctrl.estimation.scale import DeadReckoning, PathScale, Point
 from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
 from visctrl.geometry.planar import PlanarMotion, ransac_planar_motion
 from visctrl.geometry.trifocal import (
@@ -19,11 +18,9 @@ from visctrl.geometry.trifocal import (
     T112,
     T121,
     T122,
+    FixedViews,
     Trilinear,
     initial_view_basis,
-    sampson_residuals,
-    trilinear,
-    view_parameters,
 )
 from visctrl.geometry.trifocal_fit import Coupling, Fit, refine, view_jacobian, view_of
 from visctrl.geometry.trifocal_solvers import identical_views, ransac
@@ -39,6 +36,7 @@ _DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
 _CONTRADICTION, _RECONSIDER = 2.5, 10
+_NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
 class ConstrainedFit(TensorMethod):
@@ -55,22 +53,25 @@ class ConstrainedFit(TensorMethod):
         self._reckoning = DeadReckoning(context.limits, context.camera_forward_m)
         self._scale = PathScale()
         # Position and heading in the initial view's frame: as driven, and as last seen.
-        self._driven = np.zeros(2)
-        self._velocity = np.zeros(2)
+        self._driven = self._velocity = (0.0, 0.0)
         self._turned = 0.0
-        self._moved = np.zeros(3)
-        self._view: Array | None = None
+        self._moved = _NOWHERE
+        # Heading of the last view, and where it saw the target.
+        self._view: tuple[float, Point] | None = None
         self._doubts = 0
+        # What the fixed views contribute to every tick's relation, and which views these were.
+        self._fixed: tuple[Views, FixedViews] | None = None
 
     def predict(self, sent: Velocity, dt: float) -> None:
         """Advance the dead-reckoned path, along the heading that was last seen."""
-        motion = self._reckoning.motion(sent, dt)
-        step = _rotated(motion[:2], self._turned)
-        self._driven = self._driven + step
-        self._velocity = step / dt if dt > 0.0 else np.zeros(2)
-        self._moved[:2] += _rotated(motion[:2], float(self._moved[2]))
-        self._moved[2] += motion[2]
-        self._turned += float(motion[2])
+        x, y, turn = self._reckoning.motion(sent, dt)
+        right, forward = _rotated((x, y), self._turned)
+        self._driven = (self._driven[0] + right, self._driven[1] + forward)
+        self._velocity = (right / dt, forward / dt) if dt > 0.0 else (0.0, 0.0)
+        moved = self._moved
+        right, forward = _rotated((x, y), moved.phi)
+        self._moved = Pose(moved.x + right, moved.y + forward, moved.phi + turn)
+        self._turned += turn
 
     def measure(self, views: Views) -> Measurement:
         """Return the tensor of the current view."""
@@ -79,23 +80,35 @@ class ConstrainedFit(TensorMethod):
             if isinstance(found, Measurement):
                 return found
             self._initial = InitialViewFilter(found)
-        relation = trilinear(views.initial, views.current, views.target)
+        relation = self._relation(views)
         fit, agreeing = self._fit(relation, self._initial.view, views.sigma)
         if fit.spread > _CONTRADICTION * views.sigma:
             fit, agreeing = self._reconsidered(views, relation, fit, agreeing)
         initial = self._initial.view
-        if agreeing.mean() < self.options.min_inliers:
-            share = f"{int(agreeing.sum())} of {len(views)} features agree on a pose"
+        inliers = int(np.count_nonzero(agreeing))
+        if inliers < self.options.min_inliers * len(views):
+            share = f"{inliers} of {len(views)} features agree on a pose"
             return Measurement.none(Health.DEGENERATE, f"features disagree: {share}")
         heading, target = view_of(fit.z)
-        if not math.isfinite(float(target.sum())):
+        if not math.isfinite(target[0] + target[1]):
             return Measurement.none(Health.DEGENERATE, "features clustered: no pose determined")
         self._follow(initial, heading, target, fit)
         coupled = self._initial.update(relation, fit)
         uncertainty = self._initial.view.covariance
         if not np.isfinite(uncertainty).all():
             return Measurement.none(Health.DEGENERATE, "initial view not determined yet")
-        return self._measurement(initial, uncertainty, coupled, fit, int(agreeing.sum()))
+        return self._measurement(initial, uncertainty, coupled, fit, inliers)
+
+    def _relation(self, views: Views) -> Trilinear:
+        """Return the trilinear relation of the three views."""
+        known = self._fixed
+        if (
+            known is None
+            or known[0].initial is not views.initial
+            or known[0].target is not views.target
+        ):
+            known = self._fixed = (views, FixedViews(views.initial, views.target))
+        return known[1].relation(views.current)
 
     def _find_initial(self, views: Views) -> InitialView | Measurement:
         """Return the initial view, or why this tick has none (or needs none)."""
@@ -155,8 +168,8 @@ class ConstrainedFit(TensorMethod):
         relation = relation.within(initial.basis)
         start = self._predicted(initial)
         fit = refine(relation, start, sigma)
-        agreeing = self._agreeing(relation, fit, sigma)
-        if agreeing.mean() >= _DOUBTFUL or len(relation) < 4:
+        agreeing = self._agreeing(fit, sigma)
+        if np.count_nonzero(agreeing) >= _DOUBTFUL * len(relation) or len(relation) < 4:
             return fit, agreeing
         z, inliers = ransac(
             relation,
@@ -170,7 +183,7 @@ class ConstrainedFit(TensorMethod):
         if inliers.sum() > len(z):
             z = refine(relation.take(inliers), z, sigma).z
         other = refine(relation, z, sigma)
-        others = self._agreeing(relation, other, sigma)
+        others = self._agreeing(other, sigma)
         return (other, others) if others.sum() > agreeing.sum() else (fit, agreeing)
 
     def _reconsidered(
@@ -195,41 +208,44 @@ class ConstrainedFit(TensorMethod):
         self._initial = InitialViewFilter(other)
         return others_fit, others
 
-    def _agreeing(self, relation: Trilinear, fit: Fit, sigma: float) -> Mask:
+    def _agreeing(self, fit: Fit, sigma: float) -> Mask:
         limit = self.options.threshold_sigmas * min(fit.spread, _DRIFT * sigma)
-        return np.asarray(np.abs(sampson_residuals(relation, fit.z)) < limit)
+        return np.asarray(np.abs(fit.residuals) < limit)
 
     def _predicted(self, initial: InitialView) -> Array:
         """Return the view parameters (4,) that the driven motion leads to."""
-        last = initial.parameters if self._view is None else self._view
+        heading, (right, forward) = self._view or (initial.phi, initial.target)
         scale, _ = self._scale.estimate()
         unit = 0.0 if math.isnan(scale) else 1.0 / scale
         dx, dy, turn = self._moved
-        ahead = relative_pose([last[2], last[3], 0.0], [dx * unit, dy * unit, turn])
-        return view_parameters(math.atan2(last[1], last[0]) + turn, ahead[:2])
+        x, y = _rotated((right - dx * unit, forward - dy * unit), -turn)
+        return np.array([math.cos(heading + turn), math.sin(heading + turn), x, y])
 
-    def _follow(self, initial: InitialView, heading: float, target: Array, fit: Fit) -> None:
+    def _follow(self, initial: InitialView, heading: float, target: Point, fit: Fit) -> None:
         """Keep the pose for the next prediction, and compare the paths seen and driven."""
-        self._view = view_parameters(heading, target)
-        self._moved = np.zeros(3)
+        self._view = (heading, target)
+        self._moved = _NOWHERE
         self._turned = heading - initial.phi
-        seen = initial.target - _rotated(target, self._turned)
+        right, forward = _rotated(target, self._turned)
+        seen = (initial.target[0] - right, initial.target[1] - forward)
         J = view_jacobian(fit.z)[1:]
-        seen_sd = math.sqrt(float(np.trace(J @ fit.covariance @ J.T)) / 2.0)
+        seen_sd = math.sqrt(float(np.vdot(J @ fit.covariance, J)) / 2.0)
         self._scale.update(self._driven, self._velocity, seen, seen_sd)
 
     def _measurement(
         self, initial: InitialView, uncertainty: Array, coupled: Coupling, fit: Fit, inliers: int
     ) -> Measurement:
         # Lengths in units of the initial distance: T121 has that unit too.
-        z = fit.z / np.hypot(fit.z[0], fit.z[1])
+        cosine, sine = fit.z[:2].tolist()
+        square = cosine**2 + sine**2
+        z = fit.z / math.sqrt(square)
         basis = initial.basis
         tensor = basis @ z
         covariance = basis @ fit.covariance @ basis.T
         shift = basis @ coupled.sensitivity + initial_view_basis(fit.z) @ initial.jacobian
         covariance = covariance + shift @ uncertainty @ shift.T
         # The covariance is that of the unit z; bring it to the tensor's scale.
-        covariance = covariance / (fit.z[0] ** 2 + fit.z[1] ** 2)
+        covariance = covariance / square
         distance, distance_sd = self._scale.estimate()
         return Measurement(
             Health.OK,
@@ -245,7 +261,7 @@ class ConstrainedFit(TensorMethod):
         )
 
 
-def _rotated(vector: Array, angle: float) -> Array:
-    """Return a vector (2,) of a frame turned by ``angle`` (rad) in the unturned frame."""
+def _rotated(vector: Point, angle: float) -> Point:
+    """Return a vector of a frame turned by ``angle`` (rad) in the unturned frame."""
     s, c = math.sin(angle), math.cos(angle)
-    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+    return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.geometry.planar import PlanarMotion
+from visctrl.geometry.symmetric import Pair, Symmetric2
 from visctrl.geometry.trifocal import T111, T112, T121, T122, T211, T212, T221, T222
 from visctrl.plugins import Estimate
 
@@ -56,60 +59,64 @@ class TensorEstimate(Estimate):
     scale_m: float
     scale_sd_m: float
 
-    @property
-    def outputs(self) -> Array:
-        """ξ1 = T112 + T121 and ξ2 = T212 + T221, both 0 at the target's position (2,)."""
-        T = self.elements
-        return np.array([T[T112] + T[T121], T[T212] + T[T221]])
+    @cached_property
+    def outputs(self) -> Pair:
+        """ξ1 = T112 + T121 and ξ2 = T212 + T221, both 0 at the target's position."""
+        T = self._numbers
+        return T[T112] + T[T121], T[T212] + T[T221]
 
-    @property
-    def outputs_covariance(self) -> Array:
-        """Covariance (2, 2) of ``outputs``."""
-        J = np.zeros((2, 8))
-        J[0, [T112, T121]] = J[1, [T212, T221]] = 1.0
-        return np.asarray(J @ self.covariance @ J.T)
+    @cached_property
+    def outputs_covariance(self) -> Symmetric2:
+        """Covariance of ``outputs``."""
+        C = self.covariance
+        first, second = (C[T112] + C[T121]).tolist(), (C[T212] + C[T221]).tolist()
+        return Symmetric2(
+            first[T112] + first[T121], first[T212] + first[T221], second[T212] + second[T221]
+        )
 
-    @property
-    def target(self) -> Array:
-        """Target's position (right, forward) from the current pose, in units of T121 (2,).
+    @cached_property
+    def target(self) -> Pair:
+        """Target's position (right, forward) from the current pose, in units of T121.
 
         The outputs turned by φ1, which is why both vanish at the target.
         """
-        s, c = np.sin(self.phi_1), np.cos(self.phi_1)
+        s, c = math.sin(self.phi_1), math.cos(self.phi_1)
         xi_1, xi_2 = self.outputs
-        return np.array([c * xi_2 + s * xi_1, c * xi_1 - s * xi_2])
+        return c * xi_2 + s * xi_1, c * xi_1 - s * xi_2
 
     @property
-    def target_sd(self) -> Array:
-        """Standard deviations (2,) of ``target``."""
-        s, c = np.sin(self.phi_1), np.cos(self.phi_1)
-        R = np.array([[s, c], [c, -s]])
-        return np.asarray(np.sqrt(np.maximum(np.diag(R @ self.outputs_covariance @ R.T), 0.0)))
+    def target_sd(self) -> Pair:
+        """Standard deviations of ``target``."""
+        s, c = math.sin(self.phi_1), math.cos(self.phi_1)
+        a, b, d = self.outputs_covariance
+        right = s * s * a + 2.0 * s * c * b + c * c * d
+        forward = c * c * a - 2.0 * s * c * b + s * s * d
+        return math.sqrt(max(right, 0.0)), math.sqrt(max(forward, 0.0))
 
     @property
     def bearing(self) -> float:
         """Bearing of the target from the current pose (rad, clockwise from forward)."""
-        right, forward = self.target * np.sign(self.scale_m)
-        return float(np.arctan2(right, forward))
+        right, forward = self.target
+        sign = self._sign
+        return math.atan2(sign * right, sign * forward)
 
     @property
     def distance_m(self) -> float:
         """Distance to the target's position (m)."""
-        return float(abs(self.scale_m) * np.hypot(*self.outputs))
+        return abs(self.scale_m) * math.hypot(*self.outputs)
 
-    @property
+    @cached_property
     def heading(self) -> float:
         """Heading of the current view in the target's frame (rad), from T and φ1.
 
         With t_2 known from the outputs, T_1jk and T_2jk hold t_1 turned by φ2; that vector's
         longer component is t_y1 in every task, so its sign is known.
         """
-        T, s, c = self.elements, np.sin(self.phi_1), np.cos(self.phi_1)
+        T, s, c = self._numbers, math.sin(self.phi_1), math.cos(self.phi_1)
         right, forward = self.target
         sine = T[T111] + forward * s + T[T122] + right * c
         cosine = T[T121] - right * s - T[T112] + forward * c
-        sign = np.sign(self.scale_m)
-        return float(np.arctan2(sign * sine, sign * cosine))
+        return math.atan2(self._sign * sine, self._sign * cosine)
 
     @property
     def determinant(self) -> float:
@@ -117,5 +124,15 @@ class TensorEstimate(Estimate):
 
         It is minus the target's forward distance in units of T121.
         """
-        T, s, c = self.elements, np.sin(self.phi_1), np.cos(self.phi_1)
-        return float((T[T111] - T[T122]) * s + (T[T211] - T[T222]) * c)
+        T, s, c = self._numbers, math.sin(self.phi_1), math.cos(self.phi_1)
+        return (T[T111] - T[T122]) * s + (T[T211] - T[T222]) * c
+
+    @cached_property
+    def _numbers(self) -> list[float]:
+        """The elements as plain numbers."""
+        numbers: list[float] = self.elements.tolist()
+        return numbers
+
+    @property
+    def _sign(self) -> float:
+        return math.copysign(1.0, self.scale_m)

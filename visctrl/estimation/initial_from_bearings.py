@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from robots.unicycle import wrap_angle
 from visctrl.estimation.initial_view import InitialView
+from visctrl.estimation.scale import Point
 from visctrl.estimation.tensor_method import TensorOptions
 from visctrl.geometry.trifocal import CALIBRATED, Trilinear, trilinear, view_parameters
 from visctrl.geometry.trifocal_fit import coupling, refine
@@ -35,11 +36,11 @@ class InitialFromBearings:
         self._seed = context.seed
 
     def find(
-        self, views: Views, driven: Array, turned: float, guess: InitialView | None = None
+        self, views: Views, driven: Point, turned: float, guess: InitialView | None = None
     ) -> InitialView | str:
         """Return the initial view, or why it is not known yet.
 
-        driven, turned : dead-reckoned position (2,) in m and heading (rad) in the initial
+        driven, turned : dead-reckoned position in m and heading (rad) in the initial
         view's frame.
         guess : what else is known of the initial view, to choose by.
         """
@@ -75,13 +76,13 @@ class InitialFromBearings:
         return _judged(relation.take(inliers), best, views.sigma)
 
 
-def _mismatch(motions: Array, driven: Array, turned: float) -> Array:
+def _mismatch(motions: Array, driven: Point, turned: float) -> Array:
     """Return how far (rad) motions (M, 2, 3) are from what was driven: turn and direction."""
     turn = motions[:, 1, 0] - motions[:, 0, 0]
     s, c = np.sin(turn), np.cos(turn)
     x, y = motions[:, 1, 1], motions[:, 1, 2]
     moved = motions[:, 0, 1:] - np.stack([c * x - s * y, s * x + c * y], axis=-1)
-    direction = np.arctan2(moved[:, 0], moved[:, 1]) - np.arctan2(driven[0], driven[1])
+    direction = np.arctan2(moved[:, 0], moved[:, 1]) - math.atan2(*driven)
     return np.asarray(np.abs(wrap_angle(turn - turned)) + np.abs(wrap_angle(direction)))
 
 

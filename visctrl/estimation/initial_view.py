@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.geometry.planar import PlanarMotion
-from visctrl.geometry.trifocal import Trilinear, current_view_basis, view_parameters
+from visctrl.geometry.symmetric import Symmetric2
+from visctrl.geometry.trifocal import Trilinear, current_view_basis
 from visctrl.geometry.trifocal_fit import Coupling, Fit, coupling
 
 Array = NDArray[np.float64]
@@ -19,6 +21,9 @@ Array = NDArray[np.float64]
 _ALIKE, _AT_MOST = 10.0, 2.0
 #: Squared distance (in sigmas) up to which the bearings and the prior agree.
 _AGREEMENT = 9.0
+#: What is known badly enough to count as unknown: condition number of the information.
+_CONDITION = 1e12
+_NONE = Symmetric2(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -41,28 +46,22 @@ class InitialView:
         sign = np.array([-1.0, 1.0])
         return cls(-motion.phi, motion.direction, motion.covariance * np.outer(sign, sign))
 
-    @property
-    def vector(self) -> Array:
-        """(phi, bearing) as an array (2,)."""
-        return np.array([self.phi, self.bearing])
-
     @cached_property
-    def target(self) -> Array:
+    def target(self) -> tuple[float, float]:
         """The target's position (right, forward), of unit length."""
-        return np.array([np.sin(self.bearing), np.cos(self.bearing)])
+        return math.sin(self.bearing), math.cos(self.bearing)
 
     @cached_property
     def parameters(self) -> Array:
         """(4,): see `visctrl.geometry.trifocal.view_parameters`."""
-        return view_parameters(self.phi, self.target)
+        return np.array([math.cos(self.phi), math.sin(self.phi), *self.target])
 
     @cached_property
     def jacobian(self) -> Array:
         """Derivative (4, 2) of ``parameters`` by (phi, bearing)."""
-        J = np.zeros((4, 2))
-        J[:2, 0] = -np.sin(self.phi), np.cos(self.phi)
-        J[2:, 1] = np.cos(self.bearing), -np.sin(self.bearing)
-        return J
+        s, c = math.sin(self.phi), math.cos(self.phi)
+        right, forward = math.sin(self.bearing), math.cos(self.bearing)
+        return np.array([[-s, 0.0], [c, 0.0], [0.0, forward], [0.0, -right]])
 
     @cached_property
     def basis(self) -> Array:
@@ -92,42 +91,50 @@ class InitialViewFilter:
     def __init__(self, prior: InitialView) -> None:
         self.view = prior
         self.prior = prior
-        variance = prior.covariance
-        known = bool(np.isfinite(variance).all())
-        self._prior_information = np.linalg.inv(variance) if known else np.zeros((2, 2))
-        self._information = np.zeros((2, 2))
+        known = bool(np.isfinite(prior.covariance).all())
+        self._prior_information = Symmetric2.of(prior.covariance).inverse() if known else _NONE
+        self._information = _NONE
         # Deviations from the prior, which keeps angles away from their cut.
-        self._weighted = np.zeros(2)
+        self._weighted = (0.0, 0.0)
         self._best = 0.0
 
     def update(self, relation: Trilinear, fit: Fit) -> Coupling:
         """Take in one tick's fit, made with the present ``view``; return its coupling."""
         coupled = coupling(relation, fit, self.view.parameters, self.view.jacobian)
-        first = not self._information.any()
-        weight = 1.0 if first else 1.0 / _ALIKE
-        deviation = self.view.vector - self.prior.vector
-        self._information = self._information + weight * coupled.information
-        self._weighted = self._weighted + weight * (
-            coupled.information @ deviation + coupled.gradient
+        information = Symmetric2.of(coupled.information)
+        weight = 1.0 if self._information == _NONE else 1.0 / _ALIKE
+        pull = information.apply(
+            (self.view.phi - self.prior.phi, self.view.bearing - self.prior.bearing)
         )
-        self._best = max(self._best, float(np.trace(coupled.information)))
-        excess = float(np.trace(self._information)) / max(_AT_MOST * self._best, 1e-300)
+        gradient = coupled.gradient.tolist()
+        self._information = self._information.plus(information, weight)
+        self._weighted = (
+            self._weighted[0] + weight * (pull[0] + gradient[0]),
+            self._weighted[1] + weight * (pull[1] + gradient[1]),
+        )
+        self._best = max(self._best, information.trace)
+        excess = self._information.trace / max(_AT_MOST * self._best, 1e-300)
         if excess > 1.0:
-            self._information /= excess
-            self._weighted /= excess
+            self._information = self._information.times(1.0 / excess)
+            self._weighted = (self._weighted[0] / excess, self._weighted[1] / excess)
         self._fuse()
         return coupled
 
     def _fuse(self) -> None:
         """Combine the prior with the bearings, at the weight that it has left."""
         prior, bearings = self._prior_information, self._information
-        total = prior + bearings
-        if np.linalg.cond(total) > 1e12:
+        total = prior.plus(bearings)
+        small, large = total.eigenvalues
+        if small * _CONDITION < large or large <= 0.0:
             return
         # What both together cannot explain of the bearings: dᵀ (Σ_prior + Σ_bearings)⁻¹ d.
-        alone = np.linalg.pinv(bearings, hermitian=True) @ self._weighted
-        distance2 = float(self._weighted @ (alone - np.linalg.solve(total, self._weighted)))
+        x, y = self._weighted
+        alone = bearings.pseudo_inverse().apply(self._weighted)
+        together = total.inverse().apply(self._weighted)
+        distance2 = x * (alone[0] - together[0]) + y * (alone[1] - together[1])
         doubt = max(1.0, 1.0 + distance2 - _AGREEMENT)
-        covariance = np.asarray(np.linalg.inv(prior / doubt + bearings), dtype=np.float64)
-        phi, bearing = self.prior.vector + covariance @ self._weighted
-        self.view = InitialView(float(phi), float(bearing), covariance)
+        covariance = bearings.plus(prior, 1.0 / doubt).inverse()
+        phi, bearing = covariance.apply(self._weighted)
+        self.view = InitialView(
+            self.prior.phi + phi, self.prior.bearing + bearing, covariance.array
+        )

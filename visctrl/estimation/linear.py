@@ -134,9 +134,9 @@ class LinearFit(TensorMethod):
             # ξ1 = 1 where the leg began; its variance is T112's, T121 being 1.
             seen = (1.0 - T[T112] - T[T121]) / math.cos(phi_1)
             self._scale.update(
-                np.array([0.0, self._driven]),
-                np.array([0.0, self._speed]),
-                np.array([0.0, seen]),
+                (0.0, self._driven),
+                (0.0, self._speed),
+                (0.0, seen),
                 math.sqrt(max(float(spread[T112, T112]), 0.0)),
             )
         return self._scale.estimate()

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hal.types import Velocity
+from hal.types import Pose, Velocity
 from robots import Limits
-from robots.unicycle import step_exact
+from robots.unicycle import along_arc
 
-Array = NDArray[np.float64]
+Point = tuple[float, float]
 
 #: The errors of successive frames are alike (they share the fixed views): this many of them
 #: count as one.
@@ -38,21 +35,30 @@ class DeadReckoning:
         self._offset = offset
         self._velocity = (0.0, 0.0)
 
-    def motion(self, sent: Velocity, dt: float) -> Array:
-        """Return the camera's motion (3,) in its own frame during ``dt`` seconds under ``sent``."""
-        if self._limits is None or dt <= 0.0:
-            return step_exact(np.zeros(3), sent.v, sent.omega, max(dt, 0.0), self._offset)
+    def motion(self, sent: Velocity, dt: float) -> Pose:
+        """Return the camera's motion in its own frame during ``dt`` seconds under ``sent``."""
+        axle = (0.0, 0.0, 0.0)
+        if dt > 0.0:
+            axle = self._driven(sent, dt)
+        x, y, turn = axle
+        offset = self._offset
+        return Pose(x - offset * math.sin(turn), y - offset * (1.0 - math.cos(turn)), turn)
+
+    def _driven(self, sent: Velocity, dt: float) -> tuple[float, float, float]:
+        """Return the axle's motion, in short steps while it is ramping."""
+        pose = (0.0, 0.0, 0.0)
+        v, omega = self._velocity
+        if self._limits is None or (v, omega) == sent:
+            return along_arc(pose, sent, dt)
         steps = max(1, math.ceil(dt / _STEP_S))
         step = dt / steps
-        bounds = (self._limits.acceleration_m_s2, self._limits.angular_acceleration_rad_s2)
-        pose = np.zeros(3)
+        dv = self._limits.acceleration_m_s2 * step
+        dw = self._limits.angular_acceleration_rad_s2 * step
         for _ in range(steps):
-            v, omega = (
-                now + max(-bound * step, min(bound * step, goal - now))
-                for now, goal, bound in zip(self._velocity, sent, bounds, strict=True)
-            )
-            self._velocity = (v, omega)
-            pose = step_exact(pose, v, omega, step, self._offset)
+            v += max(-dv, min(dv, sent.v - v))
+            omega += max(-dw, min(dw, sent.omega - omega))
+            pose = along_arc(pose, (v, omega), step)
+        self._velocity = (v, omega)
         return pose
 
 
@@ -65,24 +71,32 @@ class PathScale:
     """
 
     def __init__(self) -> None:
-        self._normal = np.zeros((2, 2))
-        self._right = np.zeros(2)
+        # Normal equations of κ and κ d: (n11, n12, n22), and their right-hand side.
+        self._normal = (0.0, 0.0, 0.0)
+        self._right = (0.0, 0.0)
 
-    def update(self, path: Array, velocity: Array, seen: Array, seen_sd: float) -> None:
-        """Add one moment: ``path`` (2,) in m, ``velocity`` (2,) in m/s, ``seen`` (2,) in units."""
-        columns = np.stack([path, -velocity], axis=-1)
+    def update(self, path: Point, velocity: Point, seen: Point, seen_sd: float) -> None:
+        """Add one moment: ``path`` in m, ``velocity`` in m/s, ``seen`` in units, its sd too."""
+        (x, y), (vx, vy), (sx, sy) = path, velocity, seen
         weight = 1.0 / (_ALIKE * max(seen_sd, 1e-9) ** 2)
-        self._normal += weight * columns.T @ columns
-        self._right += weight * columns.T @ seen
+        n11, n12, n22 = self._normal
+        r1, r2 = self._right
+        self._normal = (
+            n11 + weight * (x * x + y * y),
+            n12 - weight * (x * vx + y * vy),
+            n22 + weight * (vx * vx + vy * vy),
+        )
+        self._right = (r1 + weight * (x * sx + y * sy), r2 - weight * (vx * sx + vy * sy))
 
     def estimate(self) -> tuple[float, float]:
         """Return the scale (m per unit) and its standard deviation, (nan, inf) if unknown."""
-        if self._normal[0, 0] <= 0.0 or self._right[0] <= 0.0:
+        n11, n12, n22 = self._normal
+        r1, r2 = self._right
+        if n11 <= 0.0 or r1 <= 0.0:
             return math.nan, math.inf
-        kappa = self._right[0] / self._normal[0, 0]
-        normal = self._normal + np.diag([0.0, 1.0 / (_DELAY_SD_S * kappa) ** 2])
-        inverse = np.linalg.inv(normal)
-        kappa = float((inverse @ self._right)[0])
+        n22 += (n11 / (_DELAY_SD_S * r1)) ** 2
+        determinant = n11 * n22 - n12 * n12
+        kappa = (n22 * r1 - n12 * r2) / determinant
         if kappa <= 0.0:
             return math.nan, math.inf
-        return 1.0 / kappa, math.sqrt(inverse[0, 0]) / kappa**2
+        return 1.0 / kappa, math.sqrt(n22 / determinant) / kappa**2

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hal.types import Velocity
 from visctrl.estimation.constrained import ConstrainedFit
@@ -17,8 +16,6 @@ from visctrl.estimation.linear import LinearFit
 from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
 from visctrl.geometry.trifocal import ELEMENTS, normalised, normalised_covariance
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
-
-Array = NDArray[np.float64]
 
 _ELEMENT_SDS = tuple(f"{name}_sd" for name in ELEMENTS)
 _SIGNALS = (
@@ -87,12 +84,15 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
         if self._measurement is None:
             return {}
         last = self._last
-        xi, xi_sd = last.outputs, np.sqrt(np.diag(last.outputs_covariance))
-        numbers = {
+        xi, spread = last.outputs, last.outputs_covariance
+        sds = np.sqrt(np.maximum(last.covariance.diagonal(), 0.0)).tolist()
+        return {
+            **dict(zip(ELEMENTS, last.elements.tolist(), strict=True)),
+            **dict(zip(_ELEMENT_SDS, sds, strict=True)),
             "xi1": xi[0],
             "xi2": xi[1],
-            "xi1_sd": xi_sd[0],
-            "xi2_sd": xi_sd[1],
+            "xi1_sd": math.sqrt(max(spread.a, 0.0)),
+            "xi2_sd": math.sqrt(max(spread.c, 0.0)),
             "phi_1": last.phi_1,
             "heading": last.heading,
             "bearing": last.bearing,
@@ -102,9 +102,6 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
             "inliers": float(self._measurement.inliers),
             "residual_sd": self._measurement.spread,
         }
-        elements = zip(ELEMENTS, last.elements, strict=True)
-        sds = zip(_ELEMENT_SDS, np.sqrt(np.maximum(np.diag(last.covariance), 0.0)), strict=True)
-        return {name: float(value) for name, value in (*elements, *sds, *numbers.items())}
 
     def _new_method(self) -> TensorMethod:
         options, context = self.options, self.context

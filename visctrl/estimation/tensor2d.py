@@ -192,9 +192,9 @@ class Tensor2d(Estimator[Tensor2dOptions, Tensor2dEstimate]):
             slope = np.zeros(12)
             slope[[T223, T232]] = -1.0
             self._path.update(
-                np.array([0.0, self._driven]),
-                np.array([0.0, self._speed]),
-                np.array([0.0, -tensor[T232] - tensor[T223]]),
+                (0.0, self._driven),
+                (0.0, self._speed),
+                (0.0, float(-tensor[T232] - tensor[T223])),
                 math.sqrt(max(float(slope @ covariance @ slope), 0.0)),
             )
         scale, scale_sd = self._path.estimate()

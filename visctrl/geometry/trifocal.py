@@ -53,28 +53,68 @@ def _bilinear() -> Array:
 
 
 _BILINEAR = _bilinear()
+#: The same as linear maps (4, 32) of the first and of the second view's parameters.
+_BY_FIRST = np.moveaxis(_BILINEAR, 1, 0).reshape(4, 32)
+_BY_SECOND = np.moveaxis(_BILINEAR, 2, 0).reshape(4, 32)
 
 
 class Trilinear(NamedTuple):
     """The trilinear relation of N features as linear forms in the tensor's k coordinates.
 
-    error : (..., N, k), rows d with d·z the algebraic error; k = 8, z = T as it is built.
-    gradient : (3, ..., N, k), its derivatives by the features' directions in views 1, 2, 3 (rad).
+    forms : (k, 4, ..., N), ``error`` and ``gradient`` in one; k = 8, z = T as it is built. The
+        features come last: array operations then run over them, whatever k is.
     """
 
-    error: Array
-    gradient: Array
+    forms: Array
 
     def __len__(self) -> int:
-        return int(self.error.shape[-2])
+        return int(self.forms.shape[-1])
+
+    @property
+    def error(self) -> Array:
+        """(..., N, k): rows d with d·z the algebraic error."""
+        return np.moveaxis(self.forms[:, 0], 0, -1)
+
+    @property
+    def gradient(self) -> Array:
+        """(3, ..., N, k): its derivatives by the directions in views 1, 3, 2 (rad)."""
+        return np.moveaxis(self.forms[:, 1:], 0, -1)
 
     def within(self, basis: Array) -> Trilinear:
         """Return the relation for tensors T = basis·z, with basis (8, k)."""
-        return Trilinear(self.error @ basis, self.gradient @ basis)
+        forms = self.forms
+        within = basis.T @ forms.reshape(len(forms), -1)
+        return Trilinear(within.reshape(-1, *forms.shape[1:]))
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Trilinear:
-        """Return the relation of some of the features (no leading axes)."""
-        return Trilinear(self.error[which], self.gradient[:, which])
+        """Return the relation of some of the features."""
+        return Trilinear(self.forms[..., which])
+
+
+class FixedViews:
+    """The initial and target views of a drive, which every current view is related to.
+
+    Parameters
+    ----------
+    rays_1, rays_3 : (..., N, 2 or 3) arrays
+        Bearings (sin θ, cos θ), or unit rays (right, forward, up) whose bearings are weighted
+        by how level they are.
+    """
+
+    def __init__(self, rays_1: ArrayLike, rays_3: ArrayLike) -> None:
+        (u, du), (w, dw) = _directions(rays_1), _directions(rays_3)
+        # (2, 2, 3, ..., N): u ⊗ w and its derivatives.
+        self._pairs = np.stack([a[:, None] * b for a, b in ((u, w), (du, w), (u, dw))], axis=2)
+
+    def relation(self, rays_2: ArrayLike) -> Trilinear:
+        """Return the trilinear relation with the current view's rays (..., N, 2 or 3)."""
+        v, dv = _directions(rays_2)
+        pairs = self._pairs
+        forms = np.empty((2, 2, 2, 4, *pairs.shape[3:]))
+        for j in (0, 1):
+            np.multiply(pairs, v[j], out=forms[:, j, :, :3])
+            np.multiply(pairs[:, :, 0], dv[j], out=forms[:, j, :, 3])
+        return Trilinear(forms.reshape(8, *forms.shape[3:]))
 
 
 def unit_bearings(rays: ArrayLike) -> tuple[Array, Array]:
@@ -84,7 +124,8 @@ def unit_bearings(rays: ArrayLike) -> tuple[Array, Array]:
     direction's error grows by its inverse when it is read as a bearing.
     """
     level = np.asarray(rays, dtype=np.float64)[..., :2]
-    norm = np.maximum(np.linalg.norm(level, axis=-1), 1e-9)
+    square = level * level
+    norm = np.sqrt(np.maximum(square[..., 0] + square[..., 1], 1e-18))
     return level / norm[..., None], norm
 
 
@@ -94,11 +135,7 @@ def trilinear(rays_1: ArrayLike, rays_2: ArrayLike, rays_3: ArrayLike) -> Trilin
     Rays are bearings (sin θ, cos θ), or unit rays (right, forward, up) whose bearings are
     weighted by how level they are.
     """
-    (u, nu), (v, nv), (w, nw) = (unit_bearings(r) for r in (rays_1, rays_2, rays_3))
-    du, dv, dw = (_quarter_turn(b) / n[..., None] for b, n in ((u, nu), (v, nv), (w, nw)))
-    return Trilinear(
-        _outer(u, v, w), np.stack([_outer(du, v, w), _outer(u, dv, w), _outer(u, v, dw)])
-    )
+    return FixedViews(rays_1, rays_3).relation(rays_2)
 
 
 def sampson_residuals(relation: Trilinear, tensor: ArrayLike) -> Array:
@@ -114,14 +151,38 @@ def sampson_residuals(relation: Trilinear, tensor: ArrayLike) -> Array:
     return np.asarray((T @ relation.error.T) / np.sqrt(np.maximum(gradient2, 1e-24)))
 
 
+class Linearised(NamedTuple):
+    """Sampson residuals of one tensor and how they depend on it.
+
+    residual : (N,) in rad.
+    slopes : (4, N): the derivative of residual n by z is Σ_i slopes[i, n] forms[:, i, n],
+        whatever the coordinates z that the forms are expressed in.
+    """
+
+    residual: Array
+    slopes: Array
+
+    def jacobian(self, relation: Trilinear) -> Array:
+        """Return the derivatives (k, N) by the tensor's coordinates in ``relation``."""
+        return np.asarray(np.add.reduce(relation.forms * self.slopes, axis=1))
+
+
+def linearised(relation: Trilinear, tensor: Array) -> Linearised:
+    """Return the Sampson residuals (no leading axes) of one tensor (k,), with their slopes."""
+    forms = relation.forms
+    values = (tensor @ forms.reshape(len(tensor), -1)).reshape(forms.shape[1:])
+    square = values * values
+    inverse = 1.0 / np.sqrt(np.maximum(square[1] + square[2] + square[3], 1e-24))
+    residual = values[0] * inverse
+    slopes = values * (-residual * inverse * inverse)
+    slopes[0] = inverse
+    return Linearised(residual, slopes)
+
+
 def sampson_jacobian(relation: Trilinear, tensor: Array) -> tuple[Array, Array]:
     """Return the residuals (N,) of one tensor (k,), and their derivatives (N, k) by it."""
-    a, b, c = slopes = relation.gradient @ tensor
-    inverse = 1.0 / np.sqrt(np.maximum(a * a + b * b + c * c, 1e-24))
-    residual = (relation.error @ tensor) * inverse
-    bend = (slopes * (residual * inverse))[..., None] * relation.gradient
-    jacobian = (relation.error - bend[0] - bend[1] - bend[2]) * inverse[:, None]
-    return residual, jacobian
+    linear = linearised(relation, tensor)
+    return linear.residual, linear.jacobian(relation).T
 
 
 def view_parameters(heading: ArrayLike, target: ArrayLike) -> Array:
@@ -166,13 +227,13 @@ def tensor_from_poses(pose_1: ArrayLike, pose_2: ArrayLike) -> Array:
 def current_view_basis(view_1: ArrayLike) -> Array:
     """Return G (..., 8, 4): with view 1 known, T = G·p2 is linear in the current view."""
     view = np.asarray(view_1, dtype=np.float64)
-    return np.asarray(np.tensordot(view, _BILINEAR, axes=([-1], [1])))
+    return np.asarray((view @ _BY_FIRST).reshape(*view.shape[:-1], 8, 4))
 
 
 def initial_view_basis(view_2: ArrayLike) -> Array:
     """Return (..., 8, 4): with view 2 known, T is linear in the initial view's parameters."""
     view = np.asarray(view_2, dtype=np.float64)
-    return np.asarray(np.tensordot(view, _BILINEAR, axes=([-1], [2])))
+    return np.asarray((view @ _BY_SECOND).reshape(*view.shape[:-1], 8, 4))
 
 
 def normalised(tensor: ArrayLike) -> Array:
@@ -183,8 +244,9 @@ def normalised(tensor: ArrayLike) -> Array:
 
 def normalised_covariance(tensor: Array, covariance: Array) -> Array:
     """Return the first-order covariance (8, 8) of `normalised` for one tensor's covariance."""
-    J = (np.eye(8) - np.outer(tensor / tensor[T121], np.eye(8)[T121])) / tensor[T121]
-    return np.asarray(J @ covariance @ J.T)
+    ratio = tensor / tensor[T121]
+    rows = covariance - ratio[:, None] * covariance[T121]
+    return np.asarray((rows - rows[:, T121, None] * ratio) / tensor[T121] ** 2)
 
 
 def dynamics(
@@ -227,12 +289,14 @@ def dynamics(
     return np.stack(np.broadcast_arrays(*rates), axis=-1)
 
 
-def _quarter_turn(bearing: Array) -> Array:
-    """Return the derivative (cos θ, −sin θ) of bearings (sin θ, cos θ)."""
-    return np.stack([bearing[..., 1], -bearing[..., 0]], axis=-1)
-
-
-def _outer(u: Array, v: Array, w: Array) -> Array:
-    """Return u ⊗ v ⊗ w (..., 8) of bearings (..., 2)."""
-    product = u[..., :, None, None] * v[..., None, :, None] * w[..., None, None, :]
-    return np.asarray(product.reshape(*product.shape[:-3], 8))
+def _directions(rays: ArrayLike) -> tuple[Array, Array]:
+    """Return bearings (2, ..., N) as (sin θ, cos θ), and their derivatives by the direction."""
+    rays = np.asarray(rays, dtype=np.float64)
+    right, forward = rays[..., 0], rays[..., 1]
+    inverse = 1.0 / np.sqrt(np.maximum(right * right + forward * forward, 1e-18))
+    bearing, turned = np.empty((2, *inverse.shape)), np.empty((2, *inverse.shape))
+    bearing[0] = turned[1] = right * inverse
+    bearing[1] = turned[0] = forward * inverse
+    turned[0] *= inverse
+    turned[1] *= -inverse
+    return bearing, turned

@@ -15,19 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.geometry.trifocal import (
+    Linearised,
     Trilinear,
-    current_view_basis,
     initial_view_basis,
-    sampson_jacobian,
+    linearised,
 )
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Width of the kernel in spreads of the residuals.
 _WIDTH = 4.0
 #: Longest step on the unit sphere.
 _LONGEST_STEP = 0.3
+#: What keeps a singular matrix invertible, as a share of its size.
+_TINY = 1e-12
 #: A step this short, in standard deviations of the result, ends the iteration.
 _CONVERGED = 0.02
 
@@ -39,19 +40,26 @@ class Fit:
     z : (k,) of unit length.
     covariance : (k, k), first order; singular along z.
     information : (k, k), its inverse across z.
-    residuals : (N,) in rad.
+    linear : residuals (N,) in rad and what they depend on.
+    jacobian : (k, N), their derivatives by z.
     weights : (N,) of the last iteration, in 0…1.
     spread : robust standard deviation of the residuals (rad), at least the promised one.
-    inliers : (N,) features within three spreads.
+
+    All but z and the residuals are those before the last step, which is too short to matter.
     """
 
     z: Array
     covariance: Array
     information: Array
-    residuals: Array
+    linear: Linearised
+    jacobian: Array
     weights: Array
     spread: float
-    inliers: Mask
+
+    @property
+    def residuals(self) -> Array:
+        """Sampson residuals (N,) in rad."""
+        return self.linear.residual
 
 
 def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int = 20) -> Fit:
@@ -73,47 +81,57 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
     iterations : int
         At most this many steps.
     """
-    z = start / np.linalg.norm(start)
+    z = start / math.sqrt(start @ start)
     for _ in range(iterations):
-        residual, jacobian = sampson_jacobian(relation, z)
+        linear = linearised(relation, z)
+        residual, jacobian = linear.residual, linear.jacobian(relation)
         spread = _spread(residual, sigma)
-        step, length = _step(jacobian, residual, _geman_mcclure(residual / spread), z)
+        weights = _geman_mcclure(residual, spread)
+        weighted = jacobian * weights
+        information = weighted @ jacobian.T
+        inverse = _inverse_across(information, z)
+        step = inverse @ (weighted @ residual)
+        step *= -min(1.0, _LONGEST_STEP / max(math.sqrt(step @ step), 1e-300))
         z = z + step
-        z /= np.linalg.norm(z)
-        if length < _CONVERGED * spread:
+        z /= math.sqrt(z @ z)
+        if math.sqrt(max(float(step @ information @ step), 0.0)) < _CONVERGED * spread:
             break
-    residual, jacobian = sampson_jacobian(relation, z)
-    spread = _spread(residual, sigma)
-    weights = _geman_mcclure(residual / spread)
-    information = (weights[:, None] * jacobian).T @ jacobian / spread**2
     return Fit(
         z,
-        _tangent_inverse(information, z),
-        information,
-        residual,
+        spread**2 * inverse,
+        information / spread**2,
+        Linearised(residual + step @ jacobian, linear.slopes),
+        jacobian,
         weights,
         spread,
-        np.abs(residual) < 3.0 * spread,
     )
 
 
-def view_of(z: Array) -> tuple[float, Array]:
-    """Return the heading (rad) and target position (2,) that view coordinates z (4,) stand for.
+def view_of(z: Array) -> tuple[float, tuple[float, float]]:
+    """Return the heading (rad) and target (right, forward) that view coordinates z (4,) stand for.
 
     The unit is that of the other view. z and −z are the same tensor; the sign must be right.
     """
-    return float(np.arctan2(z[1], z[0])), np.asarray(z[2:] / np.hypot(z[0], z[1]))
+    cosine, sine, right, forward = z.tolist()
+    norm = math.hypot(cosine, sine)
+    if norm == 0.0:
+        return math.atan2(sine, cosine), (math.inf, math.inf)
+    return math.atan2(sine, cosine), (right / norm, forward / norm)
 
 
 def view_jacobian(z: Array) -> Array:
     """Return the derivative (3, 4) of (φ, t_x, t_y) by z (see `view_of`)."""
-    square = z[0] ** 2 + z[1] ** 2
-    norm = np.sqrt(square)
-    J = np.zeros((3, 4))
-    J[0, :2] = -z[1] / square, z[0] / square
-    J[1:, :2] = -np.outer(z[2:], z[:2]) / (square * norm)
-    J[1, 2] = J[2, 3] = 1.0 / norm
-    return J
+    cosine, sine, right, forward = z.tolist()
+    square = cosine**2 + sine**2
+    norm = math.sqrt(square)
+    x, y = right / (square * norm), forward / (square * norm)
+    return np.array(
+        [
+            [-sine / square, cosine / square, 0.0, 0.0],
+            [-x * cosine, -x * sine, 1.0 / norm, 0.0],
+            [-y * cosine, -y * sine, 0.0, 1.0 / norm],
+        ]
+    )
 
 
 class Coupling(NamedTuple):
@@ -141,18 +159,17 @@ def coupling(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Arra
     view_1, view_1_jacobian : (4,), (4, m) arrays
         The initial view's parameters, and their derivatives by q.
     """
-    basis = current_view_basis(view_1)
-    _, by_tensor = sampson_jacobian(relation, basis @ fit.z)
-    by_z = by_tensor @ basis
-    by_q = by_tensor @ initial_view_basis(fit.z) @ view_1_jacobian
-    weighted = (fit.weights / fit.spread**2)[:, None] * by_q
-    mixed = by_z.T @ weighted
+    by_initial = initial_view_basis(fit.z) @ view_1_jacobian
+    by_q = fit.linear.jacobian(relation.within(by_initial))
+    weighted = (by_q * (fit.weights / fit.spread**2)).T
+    mixed = fit.jacobian @ weighted
     shift = -fit.covariance @ mixed
-    return Coupling(shift, by_q.T @ weighted + mixed.T @ shift, -weighted.T @ fit.residuals)
+    return Coupling(shift, by_q @ weighted + mixed.T @ shift, -fit.residuals @ weighted)
 
 
-def _geman_mcclure(scaled: Array) -> Array:
-    return np.asarray(1.0 / (1.0 + (scaled / _WIDTH) ** 2) ** 2)
+def _geman_mcclure(residual: Array, spread: float) -> Array:
+    root = 1.0 / (1.0 + np.square(residual * (1.0 / (_WIDTH * spread))))
+    return np.asarray(root * root)
 
 
 def _spread(residual: Array, sigma: float) -> float:
@@ -161,22 +178,9 @@ def _spread(residual: Array, sigma: float) -> float:
     return max(sigma, 1.4826 * float(np.partition(np.abs(residual), middle)[middle]))
 
 
-def _step(jacobian: Array, residual: Array, weights: Array, z: Array) -> tuple[Array, float]:
-    """Return the Gauss–Newton step (k,) across z, bounded, and its length in residuals (rad)."""
-    weighted = weights[:, None] * jacobian
-    H = weighted.T @ jacobian
-    step = np.asarray(-np.linalg.solve(_completed(H, z), weighted.T @ residual), dtype=np.float64)
-    step *= min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
-    return step, math.sqrt(max(float(step @ H @ step), 0.0))
-
-
-def _completed(information: Array, z: Array) -> Array:
-    """Return ``information`` made invertible along z, on which the residuals do not depend."""
-    size = float(np.trace(information)) + 1e-300
-    return np.asarray(information + size * (np.outer(z, z) + 1e-12 * np.eye(len(z))))
-
-
-def _tangent_inverse(information: Array, z: Array) -> Array:
-    """Return the inverse of ``information`` across z (its null direction)."""
-    across = np.eye(len(z)) - np.outer(z, z)
-    return np.asarray(across @ np.linalg.inv(_completed(information, z)) @ across)
+def _inverse_across(information: Array, z: Array) -> Array:
+    """Return the pseudo-inverse of ``information``, whose null direction is z."""
+    along = z[:, None] * z
+    size = float(information.trace()) + 1e-300
+    completed = information + size * (along + _TINY * np.eye(len(z)))
+    return np.asarray(np.linalg.inv(completed) - along / size)

@@ -15,14 +15,13 @@ from typing import Any, ClassVar, Protocol
 
 from hal.types import Pose
 from robots.errors import InputError
-from robots.unicycle import to_rep103
 from visctrl.plugins import Signal
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 
 TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
-TARGET, INITIAL, FINAL, PLOTS = "target.png", "initial.png", "final.png", "plots.png"
+TARGET, INITIAL, FINAL, REPORT = "target.png", "initial.png", "final.png", "report.html"
 VIDEO, FAULT, IMAGES = "video.mp4", "fault.txt", "images"
-FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, PLOTS, VIDEO, FAULT)
+FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, REPORT, VIDEO, FAULT)
 
 _MS = 1000.0
 #: Ticks that may wait to be written; with more, they are given up.
@@ -222,5 +221,5 @@ def _core(record: TickRecord) -> tuple[object, ...]:
 
 def _tum(t: float, pose: Pose) -> str:
     """Return one line of a TUM trajectory: time, position, quaternion."""
-    x, y, yaw = (float(value) for value in to_rep103(pose))
+    x, y, yaw = pose.y, -pose.x, pose.phi  # REP-103, as `robots.unicycle.to_rep103`
     return f"{t:.6f} {x:.9f} {y:.9f} 0 0 0 {math.sin(yaw / 2):.12f} {math.cos(yaw / 2):.12f}\n"

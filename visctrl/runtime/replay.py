@@ -172,6 +172,7 @@ class _Replay:
             self._directory.write_summary(summary)
             if self._pictures is not None:
                 self._pictures.finish()
+                self._pictures.report()
         return summary
 
     def _play(self) -> None:

@@ -317,6 +317,8 @@ class _Session:
         if end.details:
             self._attempt(files, lambda: directory.write_text(FAULT, end.details))
         self._attempt("pictures could not be drawn", self._draw)
+        if self._recorder is not None and self._pictures is not None:
+            self._attempt("the report could not be written", self._pictures.report)
 
     def _draw(self) -> None:
         if self._pictures is not None and (note := self._pictures.finish()):

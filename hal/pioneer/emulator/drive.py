@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from hal.mock import along_arc
 from hal.types import STANDSTILL, Pose, Velocity
-from robots.unicycle import wrap_angle
+from robots.unicycle import along_arc, wrap_angle
 
 #: Closer than this to a heading (rad) or a distance (m) counts as there.
 _HEADING_REACHED = math.radians(0.1)
