@@ -31,10 +31,11 @@ _POSE_DOF = 3
 @cache
 def chi_square_bounds(dof: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return the bounds between which χ² of ``dof`` degrees lies with this probability."""
-    from scipy.stats import chi2
+    # Not scipy.stats, whose import takes longer than many a run.
+    from scipy.special import chdtri
 
     tail = (1.0 - confidence) / 2.0
-    return float(chi2.ppf(tail, dof)), float(chi2.ppf(1.0 - tail, dof))
+    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
 
 
 def nees(estimate: PoseEstimate, truth: Pose) -> float:
