@@ -13,7 +13,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from visctrl.experiments.pose_runs import COLUMNS, Averages
-from visctrl.report.plots import Ticks, read_ticks
+from visctrl.report.ticks import Ticks, read_ticks
 
 Array = NDArray[np.float64]
 
