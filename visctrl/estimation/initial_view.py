@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from visctrl.geometry.planar import PlanarMotion
 from visctrl.geometry.symmetric import Symmetric2
-from visctrl.geometry.trifocal import Trilinear, current_view_basis
-from visctrl.geometry.trifocal_fit import Coupling, Fit, coupling
+from visctrl.geometry.trifocal import current_view_basis
+from visctrl.geometry.trifocal_fit import Coupling
 
 Array = NDArray[np.float64]
 
@@ -98,9 +98,8 @@ class InitialViewFilter:
         self._weighted = (0.0, 0.0)
         self._best = 0.0
 
-    def update(self, relation: Trilinear, fit: Fit) -> Coupling:
-        """Take in one tick's fit, made with the present ``view``; return its coupling."""
-        coupled = coupling(relation, fit, self.view.parameters, self.view.jacobian)
+    def update(self, coupled: Coupling) -> None:
+        """Take in what one tick's fit, made with the present ``view``, says about it."""
         information = Symmetric2.of(coupled.information)
         weight = 1.0 if self._information == _NONE else 1.0 / _ALIKE
         pull = information.apply(
@@ -118,7 +117,6 @@ class InitialViewFilter:
             self._information = self._information.times(1.0 / excess)
             self._weighted = (self._weighted[0] / excess, self._weighted[1] / excess)
         self._fuse()
-        return coupled
 
     def _fuse(self) -> None:
         """Combine the prior with the bearings, at the weight that it has left."""
