@@ -54,13 +54,13 @@ class CameraChoice(Document):
 
     name : of a built-in camera, or the path of a calibration (``.yaml``).
     width, height : image size (px); the camera's own if left out, and one follows from the other.
-    mount : name of one of the robot's mounts.
+    mount : name of one of the robot's mounts; the scheme's own if left out.
     """
 
     name: str = "hypercatadioptric"
     width: Annotated[int, Field(gt=0, le=10_000)] | None = None
     height: Annotated[int, Field(gt=0, le=10_000)] | None = None
-    mount: str = "centre"
+    mount: str | None = None
 
 
 class CameraError(Document):

@@ -71,13 +71,12 @@ def visctrl(
 ) -> Call:
     """Return a function that runs the program in this process, in an empty directory.
 
-    The toy plugins are installed, and the plot page is not drawn: it takes a second.
+    The toy plugins are installed.
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(TOYS)
     monkeypatch.setitem(REGISTRIES.estimators.builtin, "toy", "toy_plugins:ToyEstimator")
     monkeypatch.setitem(REGISTRIES.controllers.builtin, "toy", "toy_plugins:ToyController")
-    monkeypatch.setattr("visctrl.report.plots.plot_run", lambda source, target: target.touch())
 
     def call(*arguments: str) -> Done:
         capfd.readouterr()
@@ -189,11 +188,11 @@ def test_signals_end_a_run_in_good_order(
     assert summary["status"] == "stopped"
     assert "Traceback" not in err
     files = {path.name for path in (tmp_path / "o").iterdir()}
-    assert {"ticks.csv", "summary.json", "final.png", "plots.png"} <= files
+    assert {"ticks.csv", "summary.json", "final.png", "report.html"} <= files
 
 
 def test_the_module_is_the_program(environment: dict[str, str], tmp_path: Path) -> None:
-    """As a whole process, plots drawn, with plugins found through their entry points."""
+    """As a whole process, with plugins found through their entry points."""
     done = subprocess.run(
         [sys.executable, "-m", "visctrl", "run", "toy.yaml", "--json", "--out", "o", "--video"],
         cwd=tmp_path,
@@ -205,7 +204,7 @@ def test_the_module_is_the_program(environment: dict[str, str], tmp_path: Path) 
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["status"] == "reached"
-    assert (tmp_path / "o" / "plots.png").stat().st_size > 10_000
+    assert (tmp_path / "o" / "report.html").stat().st_size > 10_000
     video = cv2.VideoCapture(str(tmp_path / "o" / "video.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 51
     ok, picture = video.read()

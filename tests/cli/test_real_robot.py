@@ -62,7 +62,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setitem(REGISTRIES.perception.builtin, "blind", "blind_plugins:Blind")
     monkeypatch.setitem(REGISTRIES.estimators.builtin, "toy", "toy_plugins:ToyEstimator")
     monkeypatch.setitem(REGISTRIES.controllers.builtin, "toy", "toy_plugins:ToyController")
-    monkeypatch.setattr("visctrl.report.plots.plot_run", lambda source, target: target.touch())
     return tmp_path
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from robots.unicycle import compose, exact_jacobians, relative_pose, step_exact
+from robots.unicycle import arc, compose, exact_jacobians, relative_pose, step_exact
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -23,6 +23,21 @@ def test_exact_jacobians_are_those_of_differences(
     for k, (dv, dw) in enumerate([(h, 0.0), (0.0, h)]):
         ends = [step_exact(pose, v + s * dv, omega + s * dw, dt, offset) for s in (1, -1)]
         assert_allclose(G[:, k], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+
+
+@given(
+    st.floats(-4, 4), st.floats(-1, 1), st.floats(-3, 3), st.floats(0.01, 1), st.floats(-0.3, 0.3)
+)
+def test_the_arc_of_one_pose_is_that_of_the_arrays(
+    phi: float, v: float, omega: float, dt: float, offset: float
+) -> None:
+    pose = np.array([0.0, 0.0, phi])
+    F, G = exact_jacobians(pose, v, omega, dt, offset)
+    found = arc(phi, v, omega, dt, offset)
+    expected = step_exact(pose, v, omega, dt, offset) - pose
+    assert_allclose([found.dx, found.dy, found.turn], expected, atol=1e-12)
+    assert_allclose(np.reshape(found.by_velocity, (2, 2)), G[:2], atol=1e-10)
+    assert_allclose([-found.dy, found.dx, 0.0], F[:, 2] - [0.0, 0.0, 1.0], atol=1e-12)
 
 
 @given(SEEDS)

@@ -51,18 +51,6 @@ def toy_plan(registries: Registries) -> Callable[..., Plan]:
 
 
 @pytest.fixture(autouse=True)
-def _quick_plots(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw the plot page only where a test asks for `real_plots`: it takes a second."""
-    if "real_plots" not in request.fixturenames:
-        monkeypatch.setattr("visctrl.report.plots.plot_run", lambda source, target: target.touch())
-
-
-@pytest.fixture
-def real_plots() -> None:
-    """Ask for plots that are really drawn."""
-
-
-@pytest.fixture(autouse=True)
 def _fresh_spy() -> Iterator[None]:
     SpyBackend.opened.clear()
     yield

@@ -31,7 +31,7 @@ MakePlan = Callable[..., Plan]
 
 FILES = {
     *("config.yaml", "ticks.csv", "trajectory.tum", "summary.json"),
-    *("target.png", "initial.png", "final.png", "plots.png"),
+    *("target.png", "initial.png", "final.png", "report.html"),
 }
 
 
@@ -74,7 +74,6 @@ def assert_stopped(backend: SpyBackend) -> None:
 # --- ends ------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("real_plots")
 def test_a_run_that_finishes_on_the_target_is_reached(toy_plan: MakePlan, tmp_path: Path) -> None:
     out = tmp_path / "run"
     outcome, backend, watcher = run(toy_plan(), out)
@@ -94,7 +93,8 @@ def test_summary_has_exactly_the_keys_that_are_promised(toy_plan: MakePlan) -> N
     assert list(summary) == [
         *("status", "reason", "backend", "scheme", "robot", "camera", "seed", "final_error"),
         *("path_length_m", "duration_s", "period_s", "ticks", "missed_ticks", "lateness_ms"),
-        *("compute_ms", "stages_ms", "real_time_factor", "features", "versions"),
+        *("compute_ms", "stages_ms", "real_time_factor", "features", "consistency"),
+        "versions",
     ]
     assert set(summary["lateness_ms"]) == set(summary["compute_ms"]) == {"median", "p99", "max"}
     assert summary["period_s"] == 0.1

@@ -204,6 +204,25 @@ def config_command(
     show_scenario(scenario, flag_overrides(settings=settings), resolve=resolve)
 
 
+@app.command("report")
+def report_command(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run directories.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="The page; RUN/report.html or, for several runs, comparison.html if left out.",
+        ),
+    ] = None,
+) -> None:
+    """Make a run's report.html again, or compare several runs on one page."""
+    from visctrl.cli.report import report
+
+    raise typer.Exit(report(runs, out))
+
+
 @app.command("reproduce")
 def reproduce_command(
     names: Annotated[

@@ -31,12 +31,12 @@ _SAMPLES = 400
 class Reference(NamedTuple):
     """Where the control point should be, and how it should move there.
 
-    position : (2,) x, y (m).
-    velocity : (2,) their derivatives (m/s).
+    position : x, y (m).
+    velocity : their derivatives (m/s).
     """
 
-    position: Array
-    velocity: Array
+    position: tuple[float, float]
+    velocity: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class ParabolicPath:
         y = self.goal[1] + height / 2.0 * (1.0 + math.cos(math.pi * t / tau))
         y_rate = -height * math.pi / (2.0 * tau) * math.sin(math.pi * t / tau)
         x, slope = self._lateral(y)
-        return Reference(np.array([x, y]), np.array([slope * y_rate, y_rate]))
+        return Reference((x, y), (slope * y_rate, y_rate))
 
     def points(self, count: int = _SAMPLES) -> Array:
         """Return points (count, 2) of the path, dense towards its ends as its timing is."""

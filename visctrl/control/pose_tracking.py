@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from hal.types import STANDSTILL, Pose, Range, Velocity
@@ -27,7 +26,6 @@ from visctrl.control.paths import ParabolicPath, Reference, detour, path_demand,
 from visctrl.estimation.pose_estimate import Need, PoseEstimate
 from visctrl.plugins import Context, Controller, Decision, Signal
 
-Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
@@ -98,11 +96,17 @@ class PoseTrackingOptions(Document):
 class _Stage:
     """One path, from where the control point was when it began.
 
-    anchor : (3,) that place relative to the initial view, with which it moves when the latter
+    anchor : that place relative to the initial view, with which it moves when the latter
         is estimated better.
     """
 
-    def __init__(self, goal: tuple[float, float], anchor: Array, lever: float, tau: float) -> None:
+    def __init__(
+        self,
+        goal: tuple[float, float],
+        anchor: tuple[float, float, float],
+        lever: float,
+        tau: float,
+    ) -> None:
         self.goal = goal
         self.anchor = anchor
         self.lever = lever
@@ -113,7 +117,9 @@ class _Stage:
 
     def path(self, initial: Pose) -> ParabolicPath:
         """Return the path as it lies for the present estimate of the initial view."""
-        x, y, _ = compose(initial, self.anchor).tolist()
+        s, c = math.sin(initial.phi), math.cos(initial.phi)
+        right, forward, _ = self.anchor
+        x, y = initial.x + c * right - s * forward, initial.y + s * right + c * forward
         return ParabolicPath((x, y), self.goal, min(self.straight, 0.4 * abs(self.goal[1] - y)))
 
 
@@ -149,7 +155,6 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
                     f"controller.{key}: {gain:g} 1/s is unstable with a period of "
                     f"{context.period_s:g} s: it must be under 2/Ts = {bound:g}"
                 )
-        self._gain = np.array([options.lambda_x, options.lambda_y])
         self._refuse_blocked_goals()
         self._providers: list[ObstacleProvider] = [ListedObstacles(options.obstacles)]
         if options.sonar_m > 0.0:
@@ -196,7 +201,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         """Return the reference and the time that the whole path takes."""
         if self._reference is None:
             return {}
-        x, y = self._reference.position.tolist()
+        x, y = self._reference.position
         return {"x_reference": x, "y_reference": y, "task_time": self._task_time}
 
     # --- planning ----------------------------------------------------------------------------
@@ -268,7 +273,8 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         lever = math.copysign(lever, camera)
         ahead = lever - camera
         point = compose(estimate.pose, np.array([0.0, ahead, 0.0]))
-        anchor = relative_pose(point, estimate.initial)
+        right, forward, turn = relative_pose(point, estimate.initial).tolist()
+        anchor = (right, forward, turn)
         stage = _Stage((goal[0], goal[1] + ahead), anchor, lever, tau)
         straight = self.options.straight_m
         if straight is None:
@@ -351,14 +357,14 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         if stage.time < stage.tau:
             ahead = path.at(stage.time + period / 2.0, stage.tau).velocity
         else:
-            ahead = np.zeros(2)
+            ahead = (0.0, 0.0)
         offset = stage.lever - self.context.camera_forward_m
-        point = compose(pose, np.array([0.0, offset, 0.0]))[:2]
-        nu = ahead - self._gain * (point - self._reference.position)
         s, c = math.sin(pose.phi), math.cos(pose.phi)
-        v = -s * nu[0] + c * nu[1]
-        omega = -(c * nu[0] + s * nu[1]) / stage.lever
-        return Velocity(float(v), float(omega))
+        x, y = pose.x - s * offset, pose.y + c * offset
+        x_wanted, y_wanted = self._reference.position
+        nu_x = ahead[0] - self.options.lambda_x * (x - x_wanted)
+        nu_y = ahead[1] - self.options.lambda_y * (y - y_wanted)
+        return Velocity(-s * nu_x + c * nu_y, -(c * nu_x + s * nu_y) / stage.lever)
 
     def _excess(self, velocity: Velocity) -> float:
         limits = self.context.limits

@@ -123,8 +123,8 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
 
     Options: ClassVar[type[EkfOptions]] = EkfOptions
     signals: ClassVar[tuple[Signal, ...]] = (
-        Signal("nis", ""),
-        Signal("nis_dof", ""),
+        Signal("nis", "1"),
+        Signal("nis_dof", "1"),
         Signal("x", "m"),
         Signal("y", "m"),
         Signal("phi", "rad"),
@@ -142,6 +142,7 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
         self._ramp = RampedVelocity(self.context.limits)
         self._leg = ForwardLeg()
         self._average = InitialAverage()
+        self._frames = 0
         self._initial: Array | None = None
         self._filter: PoseFilter | None = None
         self._model: MeasurementModel | None = None
@@ -187,9 +188,10 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
         self._blind = 0.0
         # The frame that became the initial view says nothing new about it.
         repeated = np.array_equal(views.current, views.initial)
-        if self._average.frames + 1 < options.initial_frames and leg.travelled == 0.0:
-            if not repeated:
-                self._average.add(views)
+        self._frames += 1
+        if leg.travelled == 0.0 and not repeated and self._frames <= options.initial_frames:
+            self._average.add(views)
+        if leg.travelled == 0.0 and self._frames < options.initial_frames:
             return PoseEstimate.unknown(Need.STILL, Health.DEGENERATE, "averaging the first view")
         views = self._average.applied(views)
         if not repeated:

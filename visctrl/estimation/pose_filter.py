@@ -17,14 +17,15 @@ and each bearing eight, which a general filter would multiply by zeros ten times
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from hal.types import Pose
-from robots.unicycle import exact_jacobians, step_exact, wrap_angle
+from robots.unicycle import arc
 from visctrl.estimation.pose_start import MINIMUM_PARALLAX
 from visctrl.geometry.transfer import Transfer, transfer_bearing, wrap_half_turn
 
@@ -95,9 +96,7 @@ class TransferFilter:
             Covariance M of what was executed about (v, ω).
         """
         F, Q, motion = self.transition(v, omega, dt, offset, noise)
-        q = self.x[5]
-        self.x[:2] += q * motion[:2]
-        self.x[2] += motion[2]
+        self.x[:3] += motion * (self.x[5], self.x[5], 1.0)
         # F is the identity but for its first three rows, which involve the core alone.
         self.P[:3, :] = F @ self.P[:CORE, :]
         self.P[:, :3] = self.P[:, :CORE] @ F.T
@@ -107,15 +106,17 @@ class TransferFilter:
         self, v: float, omega: float, dt: float, offset: float, noise: Array
     ) -> tuple[Array, Array, Array]:
         """Return ∂(x, y, φ)⁺/∂ core (3, 6), its noise (3, 3) and the motion (3,) in m."""
-        pose, q = self.x[:3], self.x[5]
-        motion = step_exact(pose, v, omega, dt, offset) - pose
-        by_pose, by_velocity = exact_jacobians(pose, v, omega, dt, offset)
-        F = np.zeros((3, CORE))
-        F[:, :3] = by_pose
-        F[:2, 2] *= q
-        F[:2, 5] = motion[:2]
-        by_velocity[:2] *= q
-        return F, by_velocity @ noise @ by_velocity.T, motion
+        q = float(self.x[5])
+        dx, dy, turn, (xv, xw, yv, yw) = arc(float(self.x[2]), v, omega, dt, offset)
+        F = np.array(
+            [
+                [1.0, 0.0, -q * dy, 0.0, 0.0, dx],
+                [0.0, 1.0, q * dx, 0.0, 0.0, dy],
+                [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+            ]
+        )
+        by_velocity = np.array([[q * xv, q * xw], [q * yv, q * yw], [0.0, dt]])
+        return F, by_velocity @ noise @ by_velocity.T, np.array([dx, dy, turn])
 
     # --- measurement -----------------------------------------------------------------------
 
@@ -177,9 +178,10 @@ class TransferFilter:
 
         With S = L Lᵀ and W = L⁻¹ H P the gain is Wᵀ L⁻¹ and the covariance falls by Wᵀ W.
         """
-        L = cho_factor(S, lower=True, check_finite=False)[0]
-        both = np.column_stack([HP, innovation])
-        whitened = solve_triangular(L, both, lower=True, check_finite=False)
+        L, failed = dpotrf(S, lower=True)
+        if failed:
+            raise np.linalg.LinAlgError("the covariance of the innovation is not definite")
+        whitened, _ = dtrtrs(L, np.column_stack([HP, innovation]), lower=True)
         W, y = whitened[:, :-1], whitened[:, -1]
         self.x += y @ W
         self.P -= W.T @ W
@@ -200,21 +202,20 @@ class TransferFilter:
     @property
     def pose(self) -> Pose:
         """Camera pose in the target's frame (m, m, rad)."""
-        x, y, phi = self.x[:3]
-        q = self.x[5]
-        return Pose(float(x / q), float(y / q), float(wrap_angle(phi)))
+        x, y, phi, _, _, q = self.x[:CORE].tolist()
+        return Pose(x / q, y / q, math.remainder(phi, math.tau))
 
     @property
     def initial(self) -> Pose:
         """Pose of the initial view in the target's frame (m, m, rad)."""
-        beta, phi, q = self.x[3:CORE]
-        return Pose(float(np.sin(beta) / q), float(-np.cos(beta) / q), float(wrap_angle(phi)))
+        beta, phi, q = self.x[3:CORE].tolist()
+        return Pose(math.sin(beta) / q, -math.cos(beta) / q, math.remainder(phi, math.tau))
 
     @property
     def covariance(self) -> Array:
         """Covariance (3, 3) of `pose`, to first order."""
-        x, y = self.x[:2]
-        q = self.x[5]
-        J = np.array([[1.0 / q, 0.0, 0.0, -x / q**2], [0.0, 1.0 / q, 0.0, -y / q**2], [0, 0, 1, 0]])
-        which = [0, 1, 2, 5]
-        return np.asarray(J @ self.P[np.ix_(which, which)] @ J.T, dtype=np.float64)
+        x, y, _, _, _, q = self.x[:CORE].tolist()
+        J = np.zeros((3, CORE))
+        J[0, 0] = J[1, 1] = 1.0 / q
+        J[0, 5], J[1, 5], J[2, 2] = -x / q**2, -y / q**2, 1.0
+        return np.asarray(J @ self.P[:CORE, :CORE] @ J.T, dtype=np.float64)

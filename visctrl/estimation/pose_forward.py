@@ -31,12 +31,10 @@ class InitialAverage:
     """Sharper initial view from further frames of the robot standing there."""
 
     def __init__(self) -> None:
-        self.frames = 0
         self._sum: dict[int, tuple[Array, int]] = {}
 
     def add(self, views: Views) -> None:
         """Take a frame from the initial pose into account."""
-        self.frames += 1
         for name, first, now in zip(views.ids.tolist(), views.initial, views.current, strict=True):
             total, count = self._sum.get(name, (first, 1))
             self._sum[name] = total + now, count + 1

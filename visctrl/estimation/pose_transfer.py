@@ -68,15 +68,15 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
 
     Options: ClassVar[type[TransferOptions]] = TransferOptions
     signals: ClassVar[tuple[Signal, ...]] = (
-        Signal("nis", ""),
-        Signal("nis_dof", ""),
+        Signal("nis", "1"),
+        Signal("nis_dof", "1"),
         Signal("x", "m"),
         Signal("y", "m"),
         Signal("phi", "rad"),
         Signal("x_sd", "m"),
         Signal("y_sd", "m"),
         Signal("phi_sd", "rad"),
-        Signal("features_used", ""),
+        Signal("features_used", "1"),
     )
 
     def __init__(self, options: TransferOptions, context: Context) -> None:
@@ -89,8 +89,10 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         self._leg = ForwardLeg()
         self._start: Start | None = None
         self._next_try = self.options.leg_min_m
+        self._frames = 0
         self._failed = ""
         self._filter: TransferFilter | None = None
+        self._last: PoseEstimate | None = None
         self._ids: Ids = np.empty(0, dtype=np.int64)
         self._unused: NDArray[np.int64] = np.empty(0, dtype=np.int64)
         self._stamp = -math.inf
@@ -116,9 +118,9 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
 
     def values(self) -> Mapping[str, float]:
         """Return the pose and the filter's own account of its accuracy."""
-        if self._filter is None:
+        if self._last is None:
             return {}
-        found = self._estimate(self._filter).values()
+        found = self._last.values()
         if self._innovation.dof:
             found |= {"nis": self._innovation.nis, "nis_dof": float(self._innovation.dof)}
         return found | {"features_used": float(self._innovation.dof)}
@@ -133,6 +135,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         leg.move(velocity, dt, self.context.camera_forward_m, options.noise.covariance(velocity))
         if views is None:
             return PoseEstimate.unknown(self._need, self._blindness(), "no new frame")
+        self._frames += 1
         # The frame that became the initial view says nothing new about it.
         if leg.travelled > 0.0 or not np.array_equal(views.current, views.initial):
             leg.look(views)
@@ -151,7 +154,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
 
     @property
     def _need(self) -> Need:
-        return Need.STILL if self._leg.frames < self.options.initial_frames else Need.FORWARD
+        return Need.STILL if self._frames < self.options.initial_frames else Need.FORWARD
 
     def _settled(self, start: Start) -> bool:
         """Return whether the leg tells the start well enough, or as well as it ever will."""
@@ -201,19 +204,23 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
 
     def _estimate(self, state: TransferFilter) -> PoseEstimate:
         health = self._blindness()
-        return PoseEstimate(
+        self._last = PoseEstimate(
             health=health,
             reason=f"nothing seen for {self._blind:.1f} s" if health is Health.LOST else "",
             pose=state.pose,
             covariance=self._covariance(state),
             initial=state.initial,
         )
+        return self._last
 
     def _covariance(self, state: TransferFilter) -> Array:
         """Return the metric covariance of the pose, the odometer's factor included."""
+        gain = self.options.noise.gain
+        if gain == 0.0:
+            return state.covariance
         x, y, _ = state.pose
-        position = np.array([x, y, 0.0])
-        return state.covariance + self.options.noise.gain**2 * np.outer(position, position)
+        position = gain * np.array([x, y, 0.0])
+        return state.covariance + np.outer(position, position)
 
     def _blindness(self) -> Health:
         return Health.LOST if self._blind > self.options.blind_max_s else Health.OK

@@ -58,7 +58,7 @@ def column(directory: Path | None, name: str) -> NDArray[np.float64]:
     ValueError
         The run was not recorded.
     """
-    from visctrl.report.plots import read_ticks
+    from visctrl.report.ticks import read_ticks
 
     if directory is None:
         raise ValueError("the run was not recorded")

@@ -224,7 +224,7 @@ def _errors(summary: Summary) -> dict[str, float]:
 
 
 def _column(directory: Path | None, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    from visctrl.report.plots import read_ticks
+    from visctrl.report.ticks import read_ticks
 
     if directory is None:
         raise ValueError("the run was not recorded")

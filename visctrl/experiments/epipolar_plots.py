@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from visctrl.report.plots import Ticks, read_ticks
+from visctrl.report.ticks import Ticks, read_ticks
 
 #: Panels over time: title, column of ``ticks.csv``, factor.
 _PANELS = (

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from visctrl.experiments.image_motion import draw_motion
 from visctrl.geometry.trifocal import ELEMENTS
-from visctrl.report.plots import Ticks, read_ticks
+from visctrl.report.ticks import Ticks, read_ticks
 
 #: Panels over time: title, column of ``ticks.csv``, factor.
 _PANELS = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -17,12 +18,22 @@ Image = NDArray[np.uint8]
 #: Canvas of a frame that carries features only, and of what lies beside a picture (grey level).
 _BLANK = 32
 _MARK = (80, 220, 80)
+_TRACK = (40, 170, 255)
+#: Positions of tracks are given in parts of a pixel.
+_SHIFT = 3
+_SUBPIXELS = 1 << _SHIFT
 _TEXT = (255, 255, 255)
 #: Size of pictures that marks and letters are made for (px).
 _REFERENCE_WIDTH = 800
 
 
-def draw_frame(frame: Frame, camera: CentralCamera, pixels: Array, caption: str = "") -> Image:
+def draw_frame(
+    frame: Frame,
+    camera: CentralCamera,
+    pixels: Array,
+    caption: str = "",
+    tracks: Sequence[Array] = (),
+) -> Image:
     """Return a frame as a colour picture with features marked.
 
     Parameters
@@ -35,6 +46,8 @@ def draw_frame(frame: Frame, camera: CentralCamera, pixels: Array, caption: str 
         Features to mark.
     caption : str
         A line in the upper left corner.
+    tracks : sequence of (K, 2) array
+        Ways of features through the image.
 
     Returns
     -------
@@ -49,6 +62,9 @@ def draw_frame(frame: Frame, camera: CentralCamera, pixels: Array, caption: str 
     scale = picture.shape[1] / _REFERENCE_WIDTH
     radius = max(2, round(4 * scale))
     thickness = max(1, round(scale))
+    for track in tracks:
+        points = np.round(track[np.isfinite(track).all(axis=1)] * _SUBPIXELS).astype(np.int32)
+        cv2.polylines(picture, [points], False, _TRACK, thickness, cv2.LINE_AA, _SHIFT)
     for u, v in np.asarray(pixels)[np.isfinite(pixels).all(axis=1)]:
         centre = (round(float(u)), round(float(v)))
         cv2.circle(picture, centre, radius, _MARK, thickness, cv2.LINE_AA)

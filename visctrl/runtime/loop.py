@@ -13,7 +13,7 @@ import numpy as np
 
 from hal.errors import BaseFaultError
 from hal.interfaces import Backend
-from hal.types import STANDSTILL, Frame, Odometry, Velocity
+from hal.types import STANDSTILL, Frame, Odometry, Pose, Velocity
 from robots.errors import InputError, VisctrlError
 from visctrl.plugins import (
     Controller,
@@ -25,6 +25,8 @@ from visctrl.plugins import (
     Plugin,
     Views,
 )
+from visctrl.runtime.consistency import NAME as CONSISTENCY
+from visctrl.runtime.consistency import Consistency
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
@@ -121,6 +123,7 @@ class Loop:
         clock = backend.clock
         self._timer: Callable[[], float] = time.perf_counter if clock.lockstep else clock.now
         self._origin = clock.now()
+        self._consistency = Consistency()
         # Not started: where time stands still, no command grows old.
         self._watchdog = Watchdog(backend.base.stop, guard.max_command_age)
         self.tally = Tally()
@@ -211,7 +214,7 @@ class Loop:
             battery_v=battery_v,
             event=turn.event,
             blame=blame,
-            signals=self._signals(turn),
+            signals=self._signals(turn, estimate, truth),
             seconds=tuple(turn.seconds),
         )
         for observer in self._observers:
@@ -299,13 +302,19 @@ class Loop:
             turn.sent = self._send(None)
             turn.event = "stopped: the command in force was too old"
 
-    def _signals(self, turn: _Turn) -> tuple[tuple[str, Mapping[str, float]], ...]:
+    def _signals(
+        self, turn: _Turn, estimate: Estimate, truth: Pose | None
+    ) -> tuple[tuple[str, Mapping[str, float]], ...]:
         plugins: tuple[tuple[str, Plugin[Any]], ...] = (
             (self._perception_name, self._perception),
             (turn.stage.estimator_name, turn.stage.estimator),
             (turn.stage.controller_name, turn.stage.controller),
         )
-        return tuple((name, dict(plugin.values())) for name, plugin in plugins if plugin.signals)
+        found = [(name, dict(plugin.values())) for name, plugin in plugins if plugin.signals]
+        reported = dict(found).get(turn.stage.estimator_name, {})
+        if judged := self._consistency.values(estimate, truth, reported):
+            found.append((CONSISTENCY, judged))
+        return tuple(found)
 
     def _call(self, who: str, work: Callable[[], T]) -> T:
         try:

@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 from hal.central_camera import CentralCamera
 from hal.types import Frame
 from visctrl.plugins import Match
-from visctrl.runtime.recorder import FINAL, INITIAL, PLOTS, TARGET, VIDEO, RunDirectory
+from visctrl.report.tracks import TrackHistory
+from visctrl.runtime.recorder import FINAL, INITIAL, TARGET, VIDEO, RunDirectory
 from visctrl.runtime.records import Observer, TickRecord
 
 if TYPE_CHECKING:
+    from visctrl.report.tracks import TrackHistory
     from visctrl.report.video import VideoWriter
 
 
 class Pictures(Observer):
-    """Target, initial and final view with their features, the plot page, the video.
+    """Target, initial and final view with their features and tracks, the report, the video.
 
     The drawing libraries are imported when there is something to draw.
 
@@ -34,6 +36,7 @@ class Pictures(Observer):
         self._target: Frame | None = None
         self._initial: tuple[Frame, Match] | None = None
         self._last: TickRecord | None = None
+        self._tracks = TrackHistory()
         self._video: VideoWriter | None = None
 
     def start_video(self, rate: float, *, lockstep: bool) -> None:
@@ -47,12 +50,14 @@ class Pictures(Observer):
         self._target = frames[0]
 
     def on_initial(self, frame: Frame, match: Match) -> None:
-        """Keep the newest initial view."""
+        """Keep the newest initial view; tracks begin there."""
         self._initial = (frame, match)
+        self._tracks.clear()
 
     def on_tick(self, record: TickRecord) -> None:
         """Keep the newest tick."""
         self._last = record
+        self._tracks.add(record.views)
         if self._video is not None:
             self._video.on_tick(record)
 
@@ -62,19 +67,25 @@ class Pictures(Observer):
         if self._target is None or self._initial is None or self._last is None:
             return note
         from visctrl.report.frames import draw_frame, save_picture
-        from visctrl.report.plots import plot_run
 
         initial, match = self._initial
         count = f"{match.inliers} features"
         last = self._last
-        for name, frame, pixels, caption in (
-            (TARGET, self._target, match.target_pixels, f"target: {count}"),
-            (INITIAL, initial, match.initial_pixels, f"initial: {count}"),
-            (FINAL, last.frame, last.views.pixels, f"final: {len(last.views)} features"),
+        tracks = self._tracks.of(last.views)
+        for name, frame, pixels, caption, ways in (
+            (TARGET, self._target, match.target_pixels, f"target: {count}", ()),
+            (INITIAL, initial, match.initial_pixels, f"initial: {count}", tracks),
+            (FINAL, last.frame, last.views.pixels, f"final: {len(last.views)} features", tracks),
         ):
-            save_picture(self._path / name, draw_frame(frame, self._camera, pixels, caption))
-        plot_run(self._path, self._path / PLOTS)
+            picture = draw_frame(frame, self._camera, pixels, caption, ways)
+            save_picture(self._path / name, picture)
         return note
+
+    def report(self) -> None:
+        """Write the report, from the files of the run: all of them must have been written."""
+        from visctrl.report.run_report import write_report
+
+        write_report(self._path)
 
     def _finish_video(self) -> str:
         if self._video is None:

@@ -26,6 +26,7 @@ from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.schemes import (
     APPROACH_CONTROLLER,
     APPROACH_ESTIMATOR,
+    Scheme,
     scheme_named,
 )
 from visctrl.target_view import TargetView, load_target
@@ -84,6 +85,11 @@ class Plan:
     main: StagePlan
 
     @property
+    def scheme(self) -> Scheme:
+        """The scheme that the scenario names."""
+        return scheme_named(self.scenario.scheme)
+
+    @property
     def period_s(self) -> float:
         """Nominal tick (s)."""
         return 1.0 / self.scenario.rate_hz
@@ -119,6 +125,7 @@ class Plan:
         data = self.scenario.model_dump(mode="json", exclude={"backends"})
         data["camera"]["width"] = self.camera.width
         data["camera"]["height"] = self.camera.height
+        data["camera"]["mount"] = self.scenario.camera.mount or self.scheme.mount
         data["perception"] = self.perception.effective()
         data["estimator"] = self.main.estimator.effective()
         data["controller"] = self.main.controller.effective()
@@ -141,7 +148,9 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
     backend_options = _all_backend_options(loaded, registries)
     backend = _at(loaded, ("backend",), lambda: registries.backends.load(scenario.backend))
     robot = _at(loaded, ("robot",), lambda: load_robot(scenario.robot))
-    mount = _at(loaded, ("camera", "mount"), lambda: robot.mount(scenario.camera.mount))
+    scheme = _at(loaded, ("scheme",), lambda: scheme_named(scenario.scheme))
+    mount_name = scenario.camera.mount or scheme.mount
+    mount = _at(loaded, ("camera", "mount"), lambda: robot.mount(mount_name))
     camera = _at(loaded, ("camera",), lambda: chosen_camera(scenario.camera))
     true_camera = _at(loaded, ("camera_error",), lambda: _true(camera, scenario.camera_error))
     limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
@@ -152,7 +161,7 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
             f"{loaded.origin_of('record_images')}: key 'record_images': backend "
             f"'{scenario.backend}' takes no pictures"
         )
-    perception, approach, main = _plugins(loaded, registries, backend)
+    perception, approach, main = _plugins(loaded, registries, scheme, backend)
     return Plan(
         scenario=scenario,
         backend=backend,
@@ -170,10 +179,9 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
 
 
 def _plugins(
-    loaded: LoadedScenario, registries: Registries, backend: type[Backend]
+    loaded: LoadedScenario, registries: Registries, scheme: Scheme, backend: type[Backend]
 ) -> tuple[Chosen[Perception[Any]], StagePlan | None, StagePlan]:
     scenario = loaded.scenario
-    scheme = _at(loaded, ("scheme",), lambda: scheme_named(scenario.scheme))
     default = scheme.identified if backend.delivers_features else scheme.perception
     perception = choose(
         loaded, registries.perception, scenario.perception, default, ("perception",)

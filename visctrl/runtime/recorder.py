@@ -11,17 +11,17 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 from hal.types import Pose
 from robots.errors import InputError
-from visctrl.plugins import Plugin
+from visctrl.plugins import Signal
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 
 TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
-TARGET, INITIAL, FINAL, PLOTS = "target.png", "initial.png", "final.png", "plots.png"
+TARGET, INITIAL, FINAL, REPORT = "target.png", "initial.png", "final.png", "report.html"
 VIDEO, FAULT, IMAGES = "video.mp4", "fault.txt", "images"
-FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, PLOTS, VIDEO, FAULT)
+FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, REPORT, VIDEO, FAULT)
 
 _MS = 1000.0
 #: Ticks that may wait to be written; with more, they are given up.
@@ -86,6 +86,12 @@ class RunDirectory:
         self.write_text(SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
 
 
+class Reporting(Protocol):
+    """Anything with numbers for columns: a plugin, or what judges one."""
+
+    signals: ClassVar[tuple[Signal, ...]]
+
+
 class Recorder(Observer):
     """Writes ``ticks.csv`` and ``trajectory.tum``.
 
@@ -98,14 +104,14 @@ class Recorder(Observer):
     ----------
     directory : Path
         Where to write.
-    plugins : sequence of (name, Plugin)
+    plugins : sequence of (name, Reporting)
         Whose signals become columns.
     lockstep : bool
         Time stands still during a tick.
     """
 
     def __init__(
-        self, directory: Path, plugins: Sequence[tuple[str, Plugin[Any]]], *, lockstep: bool
+        self, directory: Path, plugins: Sequence[tuple[str, Reporting]], *, lockstep: bool
     ) -> None:
         self._signals = _signal_columns(plugins)
         self._ticks = (directory / TICKS).open("w", encoding="utf-8", newline="")
@@ -181,7 +187,7 @@ class Recorder(Observer):
             self._trajectory.write(_tum(record.t, pose))
 
 
-def _signal_columns(plugins: Sequence[tuple[str, Plugin[Any]]]) -> dict[tuple[str, str], str]:
+def _signal_columns(plugins: Sequence[tuple[str, Reporting]]) -> dict[tuple[str, str], str]:
     """Return the header of each signal by plugin and signal name."""
     return {
         (name, signal.name): f"{name}.{signal.name} [{signal.unit}]"

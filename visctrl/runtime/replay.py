@@ -100,7 +100,7 @@ def plan_replay(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> 
     context = Context(
         camera=camera,
         limits=effective_limits(robot, scenario.safety, loaded.origin_of("safety")),
-        camera_forward_m=robot.mount(scenario.camera.mount).forward_m,
+        camera_forward_m=robot.mount(scenario.camera.mount or scheme.mount).forward_m,
         period_s=1.0 / scenario.rate_hz,
         seed=scenario.seed,
         lockstep=True,
@@ -172,6 +172,7 @@ class _Replay:
             self._directory.write_summary(summary)
             if self._pictures is not None:
                 self._pictures.finish()
+                self._pictures.report()
         return summary
 
     def _play(self) -> None:

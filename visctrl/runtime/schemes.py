@@ -15,6 +15,7 @@ class Scheme:
 
     perception : for cameras that deliver images.
     identified : for backends that deliver identified features (the mock).
+    mount : where the camera sits if the scenario does not say.
     approach : whether the robot first turns to the target when it does not head there.
     """
 
@@ -23,6 +24,7 @@ class Scheme:
     controller: str
     perception: str = "klt"
     identified: str = "features"
+    mount: str = "centre"
     approach: bool = True
 
 
@@ -35,7 +37,11 @@ SCHEMES = {
         "2D trifocal tensor and pseudo-inverse control", "tensor2d", "trifocal2d", approach=False
     ),
     "pose": Scheme(
-        "pose estimation and Cartesian control", "transfer", "pose-tracking", approach=False
+        "pose estimation and Cartesian control",
+        "transfer",
+        "pose-tracking",
+        mount="front",
+        approach=False,
     ),
 }
 

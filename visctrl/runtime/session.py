@@ -15,12 +15,14 @@ from hal.types import Pose
 from robots.errors import InputError, VisctrlError
 from visctrl.config import to_yaml
 from visctrl.plugins import Context, Perception, Plugin
+from visctrl.runtime.consistency import NAME as CONSISTENCY
+from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.images import ImageRecorder
 from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
 from visctrl.runtime.pictures import Pictures
 from visctrl.runtime.plan import Chosen, Plan, StagePlan
-from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, RunDirectory
+from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, Reporting, RunDirectory
 from visctrl.runtime.records import Observer
 from visctrl.runtime.safety import Guard, LostError
 from visctrl.runtime.stop import StopRequest, StopRequested
@@ -221,10 +223,12 @@ class _Session:
             return
         if self._video:
             self._pictures.start_video(self._plan.scenario.rate_hz, lockstep=lockstep)
-        named: list[tuple[str, Plugin[Any]]] = [(self._plan.perception.name, perception)]
+        named: list[tuple[str, Reporting]] = [(self._plan.perception.name, perception)]
         for stage in stages:
             named.append((stage.estimator_name, stage.estimator))
             named.append((stage.controller_name, stage.controller))
+        if any(gives_pose(stage.estimator) for stage in stages):
+            named.append((CONSISTENCY, Consistency()))
         if self._images is not None:
             self._images.may_wait = lockstep
         self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
@@ -313,6 +317,8 @@ class _Session:
         if end.details:
             self._attempt(files, lambda: directory.write_text(FAULT, end.details))
         self._attempt("pictures could not be drawn", self._draw)
+        if self._recorder is not None and self._pictures is not None:
+            self._attempt("the report could not be written", self._pictures.report)
 
     def _draw(self) -> None:
         if self._pictures is not None and (note := self._pictures.finish()):

@@ -15,6 +15,7 @@ import numpy as np
 
 import visctrl
 from hal.types import Pose
+from visctrl.runtime.consistency import ConsistencyMeter
 from visctrl.runtime.loop import Tally
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import COMPUTE, STAGES, Observer, TickRecord
@@ -50,6 +51,7 @@ class Meter(Observer):
         self.lateness = array("d")
         self.parts = {name: array("d") for name in STAGES[:-1]}
         self.features = array("l")
+        self.consistency = ConsistencyMeter()
         self.path_length = 0.0
         self.last: TickRecord | None = None
         self._position: tuple[float, float] | None = None
@@ -61,6 +63,7 @@ class Meter(Observer):
             self.parts[name].append(seconds)
         if record.stage == "main":
             self.features.append(len(record.views))
+        self.consistency.on_tick(record)
         self.move_to(record.truth or record.odometry.pose)
         self.last = record
 
@@ -145,6 +148,7 @@ def summarise(
         "stages_ms": {name: spread_ms(values) for name, values in meter.parts.items()},
         "real_time_factor": duration / wall if wall > 0.0 else None,
         "features": meter.few_features(),
+        "consistency": meter.consistency.summary(),
         "versions": versions(),
     }
 

@@ -1,0 +1,105 @@
+"""NEES and NIS on line: against hand calculations, and over whole runs."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hal.types import Pose
+from robots.errors import InputError
+from visctrl.config import Override, load_scenario
+from visctrl.estimation.pose_estimate import Need, PoseEstimate
+from visctrl.plugins import Health
+from visctrl.runtime.consistency import Consistency, chi_square_bounds, nees
+from visctrl.runtime.plan import make_plan
+from visctrl.runtime.registry import REGISTRIES
+from visctrl.runtime.session import Outcome, run_session
+
+
+def estimate(pose: Pose, need: Need = Need.NOTHING) -> PoseEstimate:
+    covariance = np.diag([0.01, 0.04, 0.0001])
+    return PoseEstimate(health=Health.OK, pose=pose, covariance=covariance, initial=pose, need=need)
+
+
+def run(settings: dict[str, Any], out: Path | None = None) -> Outcome:
+    base: dict[str, Any] = {"backend": "mock", "scheme": "pose"}
+    overrides = [
+        Override(tuple(key.split(".")), value, f"--set {key}={value}")
+        for key, value in (base | settings).items()
+    ]
+    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+    return run_session(plan, out)
+
+
+def test_nees_weighs_each_error_by_its_deviation() -> None:
+    found = nees(estimate(Pose(0.1, -0.4, math.pi - 0.005)), Pose(0.0, 0.0, -math.pi + 0.005))
+    assert found == pytest.approx(1.0 + 4.0 + 1.0)
+
+
+def test_bounds_are_those_of_chi_square() -> None:
+    # From printed tables, 0.025 and 0.975.
+    assert chi_square_bounds(3) == pytest.approx((0.216, 9.348), abs=1e-3)
+    assert chi_square_bounds(40) == pytest.approx((24.433, 59.342), abs=1e-3)
+
+
+def test_nothing_is_judged_before_there_is_a_pose_or_without_truth() -> None:
+    judge, here = Consistency(), Pose(0.0, 0.0, 0.0)
+    assert judge.values(estimate(here, Need.FORWARD), here, {}) == {}
+    assert judge.values(estimate(here), None, {}) == {}
+    assert set(judge.values(estimate(here), None, {"nis": 3.0, "nis_dof": 4.0})) == {
+        *("nis", "nis_dof", "nis_low", "nis_high")
+    }
+
+
+def test_a_run_reports_its_consistency(tmp_path: Path) -> None:
+    summary = run({"mock.noise_px": 0.5, "duration_s": 30.0}, tmp_path / "run").summary
+    with (tmp_path / "run" / "ticks.csv").open() as file:
+        ticks = list(csv.DictReader(file))
+    column = [float(v) for row in ticks if (v := row["consistency.nees [1]"])]
+    assert len(column) == summary["consistency"]["nees"]["ticks"] > 200
+    assert summary["consistency"]["nees"]["mean"] == pytest.approx(sum(column) / len(column) / 3)
+    assert 0.9 < summary["consistency"]["nis"]["mean"] < 1.1
+    assert summary["consistency"]["nis"]["inside"] > 0.9
+
+
+def test_noise_that_the_filter_does_not_know_of_shows_in_nis() -> None:
+    summary = run({"mock.noise_px": 1.0, "perception.noise_px": 0.5, "duration_s": 15.0}).summary
+    assert summary["consistency"]["nis"]["mean"] > 1.8
+    assert summary["consistency"]["nis"]["inside"] < 0.3
+
+
+def test_other_schemes_have_nothing_to_judge(tmp_path: Path) -> None:
+    outcome = run({"scheme": "trifocal", "duration_s": 1.0}, tmp_path / "run")
+    assert outcome.summary["consistency"] is None
+    assert "consistency" not in (tmp_path / "run" / "ticks.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"camera.mount": "centre"}, "needs it off the turning centre"),
+        ({"controller.lambda_x": 20.0}, "must be under 2/Ts = 20"),
+        ({"controller.lambda_y": 4.0, "rate_hz": 2.0}, "must be under 2/Ts = 4"),
+        ({"controller.lambda_x": 0.0}, "greater than 0"),
+        ({"controller.obstacles": [{"x_m": 0.2, "y_m": 0.3}]}, "the target is 0.06 m from"),
+        (
+            {
+                "controller.obstacles": [{"x_m": 2.0, "y_m": -1.0}],
+                "controller.goals": [{"x_m": 2.1, "y_m": -1.0}],
+            },
+            "goals.0 is 0.00 m from",
+        ),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_before_anything_moves(
+    tmp_path: Path, settings: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        run(settings, tmp_path / "run")
+    assert caught.value.exit_code == 2
+    assert not (tmp_path / "run").exists()

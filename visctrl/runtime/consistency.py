@@ -1,0 +1,141 @@
+"""Whether a pose filter is as good as it says: NEES and NIS with their χ² bounds, tick by tick.
+
+The normalised estimation error squared, (A.11), needs the true pose, which no plugin sees: it is
+computed here, outside of them, where the backend knows the truth. The normalised innovation
+squared, (A.12), is the filter's own number. Of a consistent filter, 95 % of either lie between
+the bounds; the source's index, the value over its upper bound, is then under 1.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hal.types import Pose
+from visctrl.estimation.pose_estimate import Need, PoseEstimate
+from visctrl.plugins import Estimate, Estimator, Signal
+from visctrl.runtime.records import Observer, TickRecord
+from visctrl.runtime.registry import estimate_type
+
+NAME = "consistency"
+#: Share of the values of a consistent filter between the bounds.
+CONFIDENCE = 0.95
+_POSE_DOF = 3
+
+
+@cache
+def chi_square_bounds(dof: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the bounds between which χ² of ``dof`` degrees lies with this probability."""
+    from scipy.stats import chi2
+
+    tail = (1.0 - confidence) / 2.0
+    return float(chi2.ppf(tail, dof)), float(chi2.ppf(1.0 - tail, dof))
+
+
+def nees(estimate: PoseEstimate, truth: Pose) -> float:
+    """Return the normalised estimation error squared, (A.11); NaN without a proper covariance."""
+    turn = math.remainder(estimate.pose.phi - truth.phi, math.tau)
+    error = np.array([estimate.pose.x - truth.x, estimate.pose.y - truth.y, turn])
+    try:
+        return float(error @ np.linalg.solve(estimate.covariance, error))
+    except np.linalg.LinAlgError:
+        return math.nan
+
+
+def gives_pose(estimator: Estimator[Any, Any]) -> bool:
+    """Return whether an estimator delivers poses, so that there is something to judge."""
+    given = estimate_type(type(estimator))
+    return given is not None and issubclass(given, PoseEstimate)
+
+
+class Consistency:
+    """Judges every estimate of a pose.
+
+    It fills columns of ``ticks.csv`` like a plugin, but is none.
+    """
+
+    signals: ClassVar[tuple[Signal, ...]] = tuple(
+        Signal(name, "1")
+        for name in ("nees", "nees_low", "nees_high", "nis", "nis_dof", "nis_low", "nis_high")
+    )
+
+    def values(
+        self, estimate: Estimate, truth: Pose | None, reported: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Return the numbers of a tick; none while there is no pose to judge.
+
+        Parameters
+        ----------
+        estimate : Estimate
+        truth : Pose or None
+            True pose at the time of the estimate.
+        reported : mapping
+            What the estimator says of itself: its ``nis`` and ``nis_dof``.
+        """
+        if not isinstance(estimate, PoseEstimate) or estimate.need is not Need.NOTHING:
+            return {}
+        found: dict[str, float] = {}
+        if truth is not None and math.isfinite(value := nees(estimate, truth)):
+            low, high = chi_square_bounds(_POSE_DOF)
+            found |= {"nees": value, "nees_low": low, "nees_high": high}
+        dof = reported.get("nis_dof", 0.0)
+        if dof > 0.0:
+            low, high = chi_square_bounds(round(dof))
+            found |= {"nis": reported["nis"], "nis_dof": dof, "nis_low": low, "nis_high": high}
+        return found
+
+
+class ConsistencyMeter(Observer):
+    """Collects NEES and NIS of a run."""
+
+    def __init__(self) -> None:
+        self.nees = array("d")
+        self.nis = array("d")
+        self.nis_dof = array("d")
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Take a tick into account."""
+        values = dict(record.signals).get(NAME, {})
+        if "nees" in values:
+            self.nees.append(values["nees"])
+        if "nis" in values:
+            self.nis.append(values["nis"])
+            self.nis_dof.append(values["nis_dof"])
+
+    def summary(self) -> dict[str, Any] | None:
+        """Return the part of a run's summary, or None where no pose was estimated.
+
+        ``mean`` is per degree of freedom, 1 for a consistent filter. The errors of one run are
+        alike from tick to tick, so that its NEES may stay beyond the bounds for long; many runs
+        tell more.
+        """
+        if not len(self.nees) and not len(self.nis):
+            return None
+        return {
+            "confidence": CONFIDENCE,
+            "nees": _judged(np.array(self.nees), np.full(len(self.nees), float(_POSE_DOF))),
+            "nis": _judged(np.array(self.nis), np.array(self.nis_dof)),
+        }
+
+
+def inside(values: np.ndarray[Any, Any], dof: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return which values lie between the bounds of χ² with these degrees of freedom."""
+    bounds = np.array([chi_square_bounds(round(float(each))) for each in dof]).reshape(-1, 2)
+    return np.asarray((values >= bounds[:, 0]) & (values <= bounds[:, 1]))
+
+
+def _judged(
+    values: np.ndarray[Any, Any], dof: np.ndarray[Any, Any]
+) -> dict[str, float | int] | None:
+    if not len(values):
+        return None
+    return {
+        "ticks": len(values),
+        "mean": float(values.sum() / dof.sum()),
+        "inside": float(inside(values, dof).mean()),
+    }
