@@ -21,6 +21,7 @@ POSES = [Pose(-0.55 * s, -1.35 * s, -0.6 * s) for s in np.linspace(1.0, 0.0, ROU
 
 @pytest.fixture(scope="module")
 def plain() -> Iterator[Draw]:
+    """Draw plain frames with one client for all of them."""
     draw, client = plain_frames(SimOptions())
     yield draw
     disconnect(client)

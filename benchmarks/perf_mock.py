@@ -19,6 +19,7 @@ JOBS = 12
 
 
 def measured(benchmark: Any, *settings: str, bound: str = "") -> None:
+    """Time whole runs of the mock scenario."""
     changes = [parse_setting(text) for text in settings]
     plan = make_plan(load_scenario("mock", changes, REGISTRIES.backends.known()))
     simulated, ticks = [], []

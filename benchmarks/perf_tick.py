@@ -84,6 +84,7 @@ def plan_of(scheme: str, *settings: str) -> Plan:
 
 
 def measured(benchmark: Any, plan: Plan, bound: str) -> None:
+    """Time ticks of a plan."""
     cv2.setNumThreads(1)
     ticks = Ticks(plan, *rendered(plan.camera))
     paired(

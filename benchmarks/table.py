@@ -31,7 +31,7 @@ def run(options: list[str]) -> dict[str, Any]:
             *("--benchmark-timer=time.process_time", "--benchmark-disable-gc"),
             *(f"--benchmark-json={out}", "--benchmark-columns=median", *options),
         ]
-        single = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+        single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         code = subprocess.run(
             command, cwd=ROOT, env={**os.environ, **single}, check=False
         ).returncode
