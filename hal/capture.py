@@ -7,6 +7,7 @@ picture that has been lying in a buffer.
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from pathlib import Path
 from typing import Annotated
@@ -33,6 +34,7 @@ _BUFFERED = 1
 #: Value of OpenCV's auto exposure property for "off" on V4L2.
 _MANUAL_EXPOSURE = 1
 _DEFAULT_FILE_FPS = 25.0
+_FFMPEG_QUIET = "-8"
 
 _log = logging.getLogger(__name__)
 
@@ -254,5 +256,6 @@ def _remedy(source: str) -> str:
 
 
 def _quieten() -> None:
-    """Keep OpenCV from printing what is reported here in a sentence."""
+    """Keep OpenCV and FFmpeg from printing what is reported here in a sentence."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

@@ -151,14 +151,16 @@ class Ports:
 
 @dataclass
 class Film:
-    """A camera whose pictures are noise, and what is wrong with it.
+    """A camera whose pictures are noise, over a scene or over nothing; and what is wrong with it.
 
-    frozen : no picture comes any more. dropped : nor does a connection. size : of the pictures.
+    scene : what it sees. frozen : no picture comes any more. dropped : nor does a connection.
+    size : of the pictures.
     opened, released : how often.
     """
 
     world: VirtualTime
     size: tuple[int, int] = (160, 120)
+    scene: NDArray[np.uint8] | None = None
     rate: float = 10.0
     frozen: bool = False
     dropped: bool = False
@@ -199,8 +201,12 @@ class Capture:
     def retrieve(self) -> tuple[bool, NDArray[np.uint8]]:
         self._taken += 1
         width, height = self._film.size
-        noise = np.random.default_rng(self._taken)
-        return True, noise.integers(0, 255, (height, width, 3), dtype=np.uint8)
+        chance = np.random.default_rng(self._taken)
+        if self._film.scene is None:
+            return True, chance.integers(0, 255, (height, width, 3), dtype=np.uint8)
+        noisy = self._film.scene + chance.normal(0.0, 2.0, self._film.scene.shape)
+        grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        return True, np.repeat(grey[:, :, None], 3, axis=2)
 
     def release(self) -> None:
         self._film.released += self._up

@@ -101,7 +101,7 @@ def decode_config(packet: Packet) -> Config:
     ReportError
         It is another packet, or does not even name the robot.
     """
-    config = Config.decode(packet.data)
-    if packet.id != Type.CONFIG or config.serial_number is None:
+    config = Config.decode(packet.data) if packet.id == Type.CONFIG else None
+    if config is None or config.serial_number is None:
         raise ReportError("not a configuration report")
     return config

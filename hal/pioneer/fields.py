@@ -13,6 +13,9 @@ from typing import Any, TypeVar
 Layout = TypeVar("Layout", bound="Fields")
 
 
+_known: dict[type, tuple[tuple[str, str], ...]] = {}
+
+
 def coded(code: str, default: Any = None) -> Any:
     """Return a dataclass field with a wire code; None means that the packet ended before it."""
     return dataclasses.field(default=default, metadata={"code": code})
@@ -50,9 +53,12 @@ class Fields:
         return data + self.surplus
 
 
-def _codes(layout: type[Fields]) -> list[tuple[str, str]]:
-    fields = dataclasses.fields(layout)
-    return [(field.name, field.metadata["code"]) for field in fields if "code" in field.metadata]
+def _codes(layout: type[Fields]) -> tuple[tuple[str, str], ...]:
+    if layout not in _known:
+        fields = dataclasses.fields(layout)
+        codes = ((field.name, field.metadata["code"]) for field in fields if field.metadata)
+        _known[layout] = tuple(codes)
+    return _known[layout]
 
 
 def _take(data: bytes, position: int, code: str) -> tuple[Any, int] | None:

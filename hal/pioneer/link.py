@@ -8,6 +8,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from urllib.parse import urlsplit
 
 import serial
 
@@ -70,6 +71,8 @@ class Link:
         LinkError
             There is no such port, it is busy, or not allowed; the message says what to do.
         """
+        if self.url.startswith("socket://") and not _has_port(self.url):
+            raise LinkError(f"port {self.url}: expected socket://HOST:PORT")
         try:
             self._port = serial.serial_for_url(
                 self.url,
@@ -174,6 +177,13 @@ class Link:
             raise LinkError(f"port {self.url} failed: {_why(error)}") from error
 
 
+def _has_port(url: str) -> bool:
+    try:
+        return urlsplit(url).port is not None
+    except ValueError:
+        return False
+
+
 def _send_at_once(port: serial.Serial) -> None:
     """Keep TCP from collecting commands into bursts, which would undo their spacing."""
     connection = getattr(port, "_socket", None)
@@ -191,6 +201,8 @@ def _why(error: Exception) -> str:
         return "permission denied; join the group that owns it (often 'dialout') and log in again"
     if "exclusively lock" in text or number == errno.EBUSY:
         return "it is in use by another process"
+    if number == errno.EISDIR or "configure port" in text:
+        return "it is no serial port"
     if number in _HANG_UPS or any(sign in text for sign in _HANG_UP_SIGNS):
         return "the other end has hung up"
     return text or type(error).__name__

@@ -27,12 +27,15 @@ class Type(IntEnum):
     MOVING = 0x33
     ENCODER = 0x90
     GYRO = 0x98
+    SERIAL_1 = 0xB0
+    SERIAL_2 = 0xB8
     IO = 0xF0
     RESET_A = 0xFE
     RESET_B = 0xFF
 
 
 SYNC_TYPES = frozenset({Type.SYNC0, Type.SYNC1, Type.SYNC2})
+SERIAL_TYPES = frozenset({Type.SERIAL_1, Type.SERIAL_2})
 RESET_TYPES = frozenset({Type.RESET_A, Type.RESET_B})
 
 
@@ -66,8 +69,8 @@ def decode_identity(packet: Packet) -> Identity:
     ReportError
         It does not hold three strings.
     """
-    identity = Identity.decode(packet.data)
-    if packet.id != Type.SYNC2 or identity.subclass is None:
+    identity = Identity.decode(packet.data) if packet.id == Type.SYNC2 else None
+    if identity is None or identity.subclass is None:
         raise ReportError("the reply to SYNC2 does not name the robot")
     return identity
 
@@ -124,6 +127,7 @@ class Tail(Fields):
 
 _MOTION_SIZE = len(Motion().encode())
 _READING = struct.Struct("<BH")
+_SAMPLE = struct.Struct("<hB")
 _SONARS = 32
 
 
@@ -213,8 +217,8 @@ def decode_encoders(packet: Packet) -> Encoders:
     ReportError
         It is another packet, or too short.
     """
-    encoders = Encoders.decode(packet.data)
-    if packet.id != Type.ENCODER or encoders.right is None:
+    encoders = Encoders.decode(packet.data) if packet.id == Type.ENCODER else None
+    if encoders is None or encoders.right is None:
         raise ReportError("not an encoder report")
     return encoders
 
@@ -237,9 +241,43 @@ def decode_inputs(packet: Packet) -> Inputs:
     return Inputs(digital_in, digital_out, values, surplus)
 
 
+class TurnSample(NamedTuple):
+    """One sample of the gyro: rate and temperature, raw."""
+
+    rate: int
+    temperature: int
+
+
+def decode_gyro(packet: Packet) -> tuple[TurnSample, ...]:
+    """Return the samples in a gyro report.
+
+    Raises
+    ------
+    ReportError
+        It is another packet, or its count exceeds its length.
+    """
+    if packet.id != Type.GYRO:
+        raise ReportError("not a gyro report")
+    samples, _ = _counted(packet.data, _SAMPLE.size)
+    return tuple(map(TurnSample._make, _SAMPLE.iter_unpack(samples)))
+
+
+def decode_serial(packet: Packet) -> bytes:
+    """Return the bytes that a device on one of the controller's own serial ports has sent.
+
+    Raises
+    ------
+    ReportError
+        It is another packet.
+    """
+    if packet.id not in SERIAL_TYPES:
+        raise ReportError("not from an auxiliary port")
+    return packet.data
+
+
 def _counted(data: bytes, size: int) -> tuple[bytes, bytes]:
     """Return the items of ``size`` bytes that ``data`` begins with a count of, and the rest."""
     if not data or 1 + data[0] * size > len(data):
-        raise ReportError("an input report is shorter than its counts say")
+        raise ReportError("a report is shorter than its counts say")
     end = 1 + data[0] * size
     return data[1:end], data[end:]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import pytest
 
@@ -25,10 +23,8 @@ from hal.pioneer.reports import (
 )
 from hal.pioneer.subclasses import HEADING_RAD, SUBCLASSES
 from hal.pioneer.telemetry import Telemetry
-from hal.types import STANDSTILL, Pose, Velocity
+from hal.types import Pose, Velocity
 from robots.unicycle import wrap_angle
-
-DATA = Path(__file__).parents[1] / "data" / "arcos"
 
 
 class Client:
@@ -365,36 +361,3 @@ def test_slip_is_hidden_from_the_odometry() -> None:
     it.drive(Command(Id.VEL, 400))
     it.wait(5.0)
     assert firmware.drive.true_pose.y == pytest.approx(0.9 * firmware.drive.wheel_pose.y)
-
-
-# --- recorded clients ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("session", ["aria", "soar"])
-def test_recorded_client_drives_it_as_it_drove_its_own_peer(session: str) -> None:
-    """Replay of a client's bytes: replies of the same kinds, the robot ends where it ended.
-
-    The reference is what the client's real peer reported; its ramps need not be the same to
-    the millimetre.
-    """
-    text = (DATA / f"{session}_session.jsonl").read_text()
-    lines = [json.loads(line) for line in text.splitlines()]
-    it = client()
-    last: StandardReport | None = None
-    for line in lines:
-        if line["dir"] == "c2s":
-            for report in it.until(line["t"]):
-                last = report
-            it.send_bytes(bytes.fromhex(line["hex"]))
-    wire = [bytes.fromhex(line["hex"]) for line in lines if line["dir"] == "s2c"]
-    recorded = [packet for data in wire for packet in StreamDecoder().feed(data)]
-    assert {p.id for p in it.packets} == {p.id for p in recorded}
-    theirs = decode_standard_report([p for p in recorded if is_standard_report(p)][-1])
-    assert last is not None
-    assert it.firmware.drive.velocity == STANDSTILL
-    mine = last.motion
-    for name in ("x", "y"):
-        step = (getattr(mine, name) - getattr(theirs.motion, name) + 0x8000) % 0x10000 - 0x8000
-        assert abs(step) <= 30
-    turned = (mine.theta - theirs.motion.theta) * HEADING_RAD
-    assert abs(math.degrees(float(wrap_angle(turned)))) < 1.5

@@ -152,6 +152,10 @@ def open_error(url: str) -> str:
 def test_no_such_port() -> None:
     assert "no such port" in open_error("/dev/does-not-exist")
     assert "refused" in open_error("socket://127.0.0.1:1")
+    assert "socket://HOST:PORT" in open_error("socket://127.0.0.1")
+    assert "socket://HOST:PORT" in open_error("socket://127.0.0.1:x")
+    assert "it is no serial port" in open_error("/dev/null")
+    assert "it is no serial port" in open_error("/tmp")
 
 
 def test_silent_port() -> None:

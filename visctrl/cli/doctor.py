@@ -11,15 +11,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
+from typing import Literal
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from hal.central_camera import CentralCamera
 from hal.clock import WallClock
+from hal.types import Pose
 from robots import load_robot
 from robots.errors import VisctrlError
-from visctrl.config import Override, load_scenario
+from visctrl.config import CameraChoice, Override, load_scenario
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import chosen_camera, make_plan
 from visctrl.runtime.registry import REGISTRIES
@@ -36,6 +39,7 @@ _TIMER_S, _TIMER_PERIOD_S = 1.0, 0.01
 _LATE_MS = 10.0
 _FILM_S = 2.0
 _FRAMES, _WARM_UP = 18, 3
+_PICTURES, _CAMERA_HEIGHT_M = 6, 0.4
 
 
 class Level(StrEnum):
@@ -59,8 +63,15 @@ class Finding:
     remedy: str = ""
 
 
-def examine(port: str | None, source: str | None, camera: str, *, quick: bool) -> int:
-    """Check everything, print a line each, return the exit code (3 if something fails)."""
+def examine(port: str | None, source: str | None, camera: CameraChoice, *, quick: bool) -> int:
+    """Check everything, print a line each, return the exit code (3 if something fails).
+
+    Raises
+    ------
+    InputError
+        There is no such camera to compare with.
+    """
+    chosen_camera(camera)
     console = Console()
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
         ("packages", packages),
@@ -72,7 +83,10 @@ def examine(port: str | None, source: str | None, camera: str, *, quick: bool) -
     if source is not None:
         checks.append((f"camera {source}", lambda: camera_stream(source, camera)))
     if not quick:
-        checks += [("renderers", renderers), ("tick budget", lambda: tick_budget(camera))]
+        checks += [
+            ("renderers", lambda: renderers(camera)),
+            ("tick budget", lambda: tick_budget(camera)),
+        ]
     worst = Level.OK
     with Interrupts():
         for what, check in checks:
@@ -178,13 +192,12 @@ def robot(port: str) -> Iterator[Finding]:
             yield Finding(Level.FAILURE, "robot", fault, "release it before driving")
 
 
-def camera_stream(source: str, name: str) -> Iterator[Finding]:
+def camera_stream(source: str, choice: CameraChoice) -> Iterator[Finding]:
     """Measure the camera's rate and the age of its pictures."""
     from hal.capture import CaptureCamera, CaptureOptions
-    from visctrl.config import CameraChoice
 
     clock = WallClock()
-    model = chosen_camera(CameraChoice(name=name))
+    model = chosen_camera(choice)
     camera = CaptureCamera(model, CaptureOptions(source=source, max_age_s=_FILM_S), clock)
     try:
         camera.open()
@@ -207,23 +220,48 @@ def camera_stream(source: str, name: str) -> Iterator[Finding]:
     )
 
 
-def renderers() -> Iterator[Finding]:
-    """Check the simulator's renderers."""
+def renderers(camera: CameraChoice) -> Iterator[Finding]:
+    """Check the simulator's renderers, and how fast they draw."""
     from sim.engine import egl_works
 
-    works = egl_works()
-    found = "works" if works else "does not work here (software rendering does)"
-    yield Finding(Level.OK, "renderer egl", found)
+    drawers: list[Literal["tiny", "egl"]] = ["tiny", "egl"] if egl_works() else ["tiny"]
+    model = chosen_camera(camera)
+    for drawer in drawers:
+        took = _median(list(_drawing_times(drawer, model)))
+        found = f"{took:.0f} ms a picture of {model.width}x{model.height}"
+        yield Finding(Level.OK, f"renderer {drawer}", found)
+    if "egl" not in drawers:
+        found = "does not work here (software rendering does)"
+        yield Finding(Level.OK, "renderer egl", found)
 
 
-def tick_budget(camera: str) -> Iterator[Finding]:
-    """Measure rendering, perception and estimation on this machine, in a simulated run."""
+def _drawing_times(drawer: Literal["tiny", "egl"], model: CentralCamera) -> Iterator[float]:
+    """Yield what single pictures take (ms)."""
+    from sim.renderer import BulletRenderer
+    from sim.scene import load_scene
+
+    renderer = BulletRenderer(load_scene("hall"), model, drawer)
+    try:
+        for k in range(_PICTURES):
+            begin = time.perf_counter()
+            renderer.render(Pose(0.1 * k, -1.0, 0.1 * k), _CAMERA_HEIGHT_M)
+            if k:  # the first one also loads things
+                yield (time.perf_counter() - begin) * 1e3
+    finally:
+        renderer.close()
+
+
+def tick_budget(camera: CameraChoice) -> Iterator[Finding]:
+    """Measure perception and estimation on this machine, in a simulated run."""
     overrides = [
         Override(("backend",), "sim", "doctor"),
-        Override(("camera", "name"), camera, "doctor"),
+        *(
+            Override(("camera", name), value, "doctor")
+            for name, value in camera.model_dump(exclude_unset=True).items()
+        ),
     ]
     plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
-    drawn, worked = [], []
+    worked = []
     with plan.open_backend() as backend:
         context = plan.context(backend.clock.lockstep)
         perception = plan.perception.build(context)
@@ -234,19 +272,15 @@ def tick_budget(camera: str) -> Iterator[Finding]:
             estimator.reset()
             for _ in range(_FRAMES):
                 backend.clock.sleep_until(backend.clock.now() + plan.period_s)
-                begin = time.perf_counter()
                 frame = backend.camera.read()
                 seen = time.perf_counter()
                 sent = backend.base.command(backend.base.odometry().velocity)
                 estimator.update(perception.update(frame), sent, plan.period_s)
-                drawn.append((seen - begin) * 1e3)
                 worked.append((time.perf_counter() - seen) * 1e3)
         finally:
             estimator.close()
             perception.close()
-    drawn, worked = drawn[_WARM_UP:], worked[_WARM_UP:]
-    size = f"{plan.camera.width}x{plan.camera.height}"
-    yield Finding(Level.OK, "renderer tiny", f"{_median(drawn):.0f} ms a picture of {size}")
+    worked = worked[_WARM_UP:]
     share = max(worked) / (plan.period_s * 1e3)
     level = Level.OK if share < 0.5 else Level.WARNING if share < 1.0 else Level.FAILURE
     yield Finding(
@@ -274,7 +308,7 @@ def _print(console: Console, finding: Finding) -> None:
     colour = {Level.OK: "green", Level.WARNING: "yellow", Level.FAILURE: "red"}[finding.level]
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(width=8)
-    table.add_column(width=14, no_wrap=False)
+    table.add_column(width=14, overflow="fold")
     table.add_column(overflow="fold")
     text = escape(finding.found) + (f" -> {escape(finding.remedy)}" if finding.remedy else "")
     table.add_row(f"[{colour}]{finding.level}[/{colour}]", escape(finding.what), text)

@@ -36,6 +36,8 @@ from visctrl.runtime.plan import chosen_camera
 
 _CHECK_S = 0.2
 _DEFAULT_TCP = 8101
+_LAST_TCP = 65_535
+_MAX_FPS = 200.0
 _PORT = re.compile(r"(pty|socket)(?::(\d+))?")
 
 
@@ -74,6 +76,8 @@ def camera_model(name: str, width: int | None) -> CentralCamera | None:
 def start_pose(start: tuple[float, float, float]) -> Pose:
     """Return a start given in metres and degrees."""
     x, y, phi = start
+    if not all(map(math.isfinite, start)):
+        raise InputError(f"--start {x:g} {y:g} {phi:g}: expected three numbers")
     return Pose(x, y, math.radians(phi))
 
 
@@ -85,6 +89,7 @@ def emulate(wanted: Emulation) -> int:
     InputError, DeviceError
         It cannot be set up, or a part of it fails.
     """
+    _check(wanted)
     schedule = FaultSchedule(parse_fault(text) for text in wanted.faults)
     subclass = _known("robot", wanted.robot, EMULATED)
     personality = PERSONALITIES[_known("personality", wanted.personality, PERSONALITIES)]
@@ -114,6 +119,14 @@ def emulate(wanted: Emulation) -> int:
             interrupts.ignore()
         _report(emulator, mount)
     return 0
+
+
+def _check(wanted: Emulation) -> None:
+    if not 0.0 < wanted.fps <= _MAX_FPS:
+        raise InputError(f"--fps {wanted.fps:g}: at most {_MAX_FPS:g}, and more than 0")
+    if not all(-1.0 < share < 1.0 for share in wanted.slip):
+        v, omega = wanted.slip
+        raise InputError(f"--slip {v:g} {omega:g}: expected shares between -1 and 1")
 
 
 def _run(emulator: Emulator, camera: EmulatedCamera | None) -> None:
@@ -166,6 +179,8 @@ def _port(text: str) -> Callable[[], Port]:
     if match[1] == "pty":
         return PtyPort
     number = _DEFAULT_TCP if match[2] is None else int(match[2])
+    if number > _LAST_TCP:
+        raise InputError(f"--port {text}: TCP ports end at {_LAST_TCP}")
     return lambda: TcpPort(number)
 
 

@@ -107,7 +107,10 @@ def emulate_command(
         str, typer.Option(metavar="NAME", help="A camera's name, a calibration file, or none.")
     ] = "hypercatadioptric",
     width: Annotated[
-        int | None, typer.Option(metavar="PX", help="Image width; the camera's own if left out.")
+        int | None,
+        typer.Option(
+            metavar="PX", min=1, max=10_000, help="Image width; the camera's own if left out."
+        ),
     ] = None,
     mount: Annotated[str, typer.Option(metavar="NAME", help="Where the camera sits.")] = "centre",
     scene: Annotated[str, typer.Option(metavar="NAME", help="Name of a scene, or its file.")] = (
@@ -119,7 +122,13 @@ def emulate_command(
     ] = (-0.55, -1.35, -35.0),
     fps: Annotated[float, typer.Option(metavar="N", help="Pictures per second.")] = 10.0,
     stream_port: Annotated[
-        int, typer.Option(metavar="N", help="TCP port of the camera's stream; 0 takes a free one.")
+        int,
+        typer.Option(
+            metavar="N",
+            min=0,
+            max=65_535,
+            help="TCP port of the camera's stream; 0 takes a free one.",
+        ),
     ] = 0,
     fault: FaultOption = None,
     slip: Annotated[
@@ -176,6 +185,12 @@ def doctor_command(
     port: PortOption = None,
     camera_url: SourceOption = None,
     camera: CameraOption = None,
+    width: Annotated[
+        int | None,
+        typer.Option(
+            metavar="PX", min=1, max=10_000, help="Image width; the camera's own if left out."
+        ),
+    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Leave out what takes seconds: rendering, tick budget.")
     ] = False,
@@ -185,8 +200,10 @@ def doctor_command(
     The robot does not move. Exit code 3 if a check fails.
     """
     from visctrl.cli.doctor import examine
+    from visctrl.config import CameraChoice
 
-    _finish(lambda: examine(port, camera_url, camera or "hypercatadioptric", quick=quick))
+    chosen = CameraChoice(name=camera or "hypercatadioptric", width=width)
+    _finish(lambda: examine(port, camera_url, chosen, quick=quick))
 
 
 def _finish(work: Callable[[], int]) -> None:

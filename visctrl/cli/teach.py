@@ -36,7 +36,10 @@ _COMFORTABLE, _ENOUGH = 60, 20
 _SHARP = 0.55
 #: Mean brightness outside which a picture is too dark or too bright, of 255.
 _DARK, _BRIGHT = 40, 215
-_CONTRAST = 15
+#: Contrast (standard deviation, of 255) of a good picture, and that of one that may be noise.
+_CONTRAST, _ABOVE_NOISE = 15, 8
+#: Share of the visible sectors that hold features in a good picture.
+_SPREAD = 0.6
 
 
 def teach(
@@ -76,37 +79,57 @@ def teach(
 
 def judge(quality: Quality) -> list[tuple[bool, str, str]]:
     """Return what to think of a view: (good, figure, what it means)."""
-    near, far = quality.features * _FOUND_NEAR, quality.features * _FOUND_FAR
-    if far >= _COMFORTABLE:
-        reach = "every scheme, from 3.5 m and more"
-    elif near >= _COMFORTABLE:
-        reach = "every scheme, from about 1.5 m; from 3.5 m it may not be recognised"
-    elif near >= _ENOUGH:
-        reach = "only from near by; show it more texture, or sharpen and light it better"
-    else:
-        reach = "too few to be recognised from anywhere else: choose another place"
-    spread = quality.sectors / max(1, quality.visible)
-    light = _DARK <= quality.mean <= _BRIGHT and quality.contrast >= _CONTRAST
+    near = quality.features * _FOUND_NEAR
+    spread = quality.sectors / max(1, quality.visible) >= _SPREAD
+    sharp = quality.sharpness >= _SHARP
+    light = _light(quality)
     return [
-        (near >= _COMFORTABLE, f"{quality.features} features", reach),
         (
-            spread >= 0.6,
+            near >= _COMFORTABLE and quality.contrast >= _ABOVE_NOISE,
+            f"{quality.features} features",
+            _reach(quality),
+        ),
+        (
+            spread,
             f"in {quality.sectors} of {quality.visible} sectors of 30 deg",
             "spread well"
-            if spread >= 0.6
+            if spread
             else "all in one corner of the view: positions will be several times less exact",
         ),
         (
-            quality.sharpness >= _SHARP,
+            sharp,
             f"sharpness {quality.sharpness:.2f}",
-            "sharp" if quality.sharpness >= _SHARP else "blurred: focus, or let the robot stand",
+            "sharp" if sharp else "blurred: focus, or let the robot stand",
         ),
         (
-            light,
+            not light,
             f"mean {quality.mean:.0f}, contrast {quality.contrast:.0f} of 255",
-            "well lit" if light else "badly lit: mind the exposure",
+            light or "well lit",
         ),
     ]
+
+
+def _reach(quality: Quality) -> str:
+    """Return what the schemes can do with so many features."""
+    near, far = quality.features * _FOUND_NEAR, quality.features * _FOUND_FAR
+    if quality.contrast < _ABOVE_NOISE:
+        return "in so little contrast they may be noise"
+    if far >= _COMFORTABLE:
+        return "every scheme, from 3.5 m and more"
+    if near >= _COMFORTABLE:
+        return "every scheme, from about 1.5 m; from 3.5 m it may not be recognised"
+    if near >= _ENOUGH:
+        return "only from near by; show it more texture, or sharpen and light it better"
+    return "too few to be recognised from anywhere else: choose another place"
+
+
+def _light(quality: Quality) -> str:
+    """Return what is wrong with the light; empty if nothing is."""
+    if quality.mean < _DARK:
+        return "too dark: more light, or a longer exposure"
+    if quality.mean > _BRIGHT:
+        return "too bright: less light, or a shorter exposure"
+    return "" if quality.contrast >= _CONTRAST else "little contrast: mind exposure and focus"
 
 
 def _pictures(backend: Backend, count: int) -> Iterator[Frame]:

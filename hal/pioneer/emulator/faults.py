@@ -29,6 +29,15 @@ KINDS: dict[str, float | None] = {
     "camera-dropped": None,
 }
 
+#: Least and greatest value of a fault that has one.
+_RANGES = {
+    "lost": (0.0, 1.0),
+    "corrupt": (0.0, 1.0),
+    "delay": (0.0, 60.0),
+    "reset": (254.0, 255.0),
+    "low-battery": (0.0, 25.0),
+}
+
 _TEXT = re.compile(
     r"(?P<kind>[a-z-]+)(=(?P<value>[0-9.]+))?(@(?P<start>[0-9.]+)(\+(?P<length>[0-9.]+))?)?"
 )
@@ -82,6 +91,10 @@ def parse_fault(text: str) -> Fault:
         )
     except ValueError:
         raise InputError(f"fault '{text}': its numbers cannot be read") from None
+    if value is not None:
+        low, high = _RANGES[kind]
+        if not low <= value <= high:
+            raise InputError(f"fault '{text}': its value lies between {low:g} and {high:g}")
     return Fault(kind, KINDS[kind] if value is None else value, start, length)
 
 
