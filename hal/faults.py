@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from hal.errors import LinkError
 from hal.types import Features, Frame
@@ -21,27 +21,39 @@ def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
     return interval
 
 
+def _several(value: Any) -> Any:
+    """Take a single interval for a list of one, and nothing for an empty one."""
+    if value is None:
+        return []
+    single = isinstance(value, list | tuple) and len(value) == 2
+    return [value] if single and not any(isinstance(v, list | tuple) for v in value) else value
+
+
 #: [start, end) in seconds on the backend's clock since it was opened.
 Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+#: Any number of them; a single one may stand without the outer brackets.
+Intervals = Annotated[tuple[Interval, ...], BeforeValidator(_several)]
 
 
 class Faults(Document):
     """When devices misbehave; by default they never do.
+
+    Each fault is an interval [start, end] in seconds, or a list of them.
 
     A frozen camera repeats its last frame, stamp and sequence number included. A black one
     delivers new frames that show nothing. While the link is dead, every command fails. A
     dropped frame is the previous one, read again.
     """
 
-    camera_frozen_s: Interval | None = None
-    camera_black_s: Interval | None = None
-    link_dead_s: Interval | None = None
+    camera_frozen_s: Intervals = ()
+    camera_black_s: Intervals = ()
+    link_dead_s: Intervals = ()
     frame_drop_probability: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
 
-def active(interval: tuple[float, float] | None, t: float) -> bool:
-    """Return whether ``t`` (s) lies in the interval; None is never active."""
-    return interval is not None and interval[0] <= t < interval[1]
+def active(intervals: tuple[tuple[float, float], ...], t: float) -> bool:
+    """Return whether ``t`` (s) lies in any of the intervals."""
+    return any(start <= t < end for start, end in intervals)
 
 
 def check_link(faults: Faults, t: float) -> None:

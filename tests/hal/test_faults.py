@@ -28,14 +28,33 @@ class Source:
 
 
 def test_intervals_hold_their_start_and_not_their_end() -> None:
-    assert not active(None, 1.0)
-    assert [active((1.0, 2.0), t) for t in (0.99, 1.0, 1.99, 2.0)] == [False, True, True, False]
+    assert not active((), 1.0)
+    both = ((1.0, 2.0), (3.0, 4.0))
+    assert [active(both, t) for t in (0.99, 1.0, 1.99, 2.0)] == [False, True, True, False]
+    assert [active(both, t) for t in (2.99, 3.0, 3.99, 4.0)] == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (None, ()),
+        ([], ()),
+        ([1, 2], ((1.0, 2.0),)),
+        ([[1, 2], [3, 4]], ((1.0, 2.0), (3.0, 4.0))),
+    ],
+)
+def test_there_may_be_none_one_or_several(
+    given: object, expected: tuple[tuple[float, float], ...]
+) -> None:
+    faults = Faults.model_validate({"link_dead_s": given})
+    assert faults.link_dead_s == expected
+    assert Faults.model_validate(faults.model_dump(mode="json")) == faults
 
 
 @pytest.mark.parametrize("interval", [(2.0, 1.0), (1.0, 1.0), (-1.0, 1.0)])
 def test_intervals_are_in_order(interval: tuple[float, float]) -> None:
     with pytest.raises(ValidationError, match="start < end"):
-        Faults(camera_black_s=interval)
+        Faults(camera_black_s=(interval,))
 
 
 def test_without_faults_every_frame_is_new() -> None:
@@ -44,7 +63,7 @@ def test_without_faults_every_frame_is_new() -> None:
 
 
 def test_a_frozen_camera_repeats_stamp_and_number() -> None:
-    source = Source(Faults(camera_frozen_s=(1.0, 2.0)))
+    source = Source(Faults(camera_frozen_s=((1.0, 2.0),)))
     before, frozen, still, after = (source.read(t) for t in (0.9, 1.0, 1.9, 2.0))
     assert frozen is before
     assert still is before
@@ -52,12 +71,12 @@ def test_a_frozen_camera_repeats_stamp_and_number() -> None:
 
 
 def test_a_camera_frozen_from_the_start_delivers_one_frame() -> None:
-    source = Source(Faults(camera_frozen_s=(0.0, 2.0)))
+    source = Source(Faults(camera_frozen_s=((0.0, 2.0),)))
     assert source.read(0.0) is source.read(1.0)
 
 
 def test_a_black_camera_goes_on_counting_and_shows_nothing() -> None:
-    source = Source(Faults(camera_black_s=(1.0, 2.0)))
+    source = Source(Faults(camera_black_s=((1.0, 2.0),)))
     seen, black, again = (source.read(t) for t in (0.9, 1.5, 2.5))
     assert [frame.sequence for frame in (seen, black, again)] == [1, 2, 3]
     assert black.stamp == 1.5
@@ -86,7 +105,7 @@ def test_frames_are_dropped_as_often_as_asked_and_by_the_seed() -> None:
 
 
 def test_a_dead_link_raises_only_while_it_is_dead() -> None:
-    faults = Faults(link_dead_s=(1.0, 2.0))
+    faults = Faults(link_dead_s=((1.0, 2.0),))
     check_link(faults, 0.9)
     with pytest.raises(LinkError, match="does not answer"):
         check_link(faults, 1.5)

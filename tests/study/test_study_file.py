@@ -194,3 +194,11 @@ def test_the_studies_that_are_shipped_can_be_run(name: str) -> None:
     study = load_study(name)
     study.check()
     assert study.study.title
+
+
+def test_the_example_in_the_documentation_can_be_run(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "study.md").read_text(encoding="utf-8")
+    example = text.partition("```yaml\n")[2].partition("```")[0]
+    study = loaded(tmp_path, yaml.safe_load(example))
+    study.check()
+    assert study.study.count == 4 * 3 * 2 * 25

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import study_work
 
-from visctrl.experiments.workers import ONE_THREAD, Died, LocalWorkers
+from visctrl.experiments.workers import Died, LocalWorkers
+from visctrl.threads import ONE_THREAD
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

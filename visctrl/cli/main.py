@@ -10,6 +10,7 @@ import typer
 
 from visctrl.cli.hardware import add_hardware_commands
 from visctrl.cli.images import add_image_commands
+from visctrl.threads import limit_linear_algebra
 
 _INTERRUPTED = 130
 
@@ -24,6 +25,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; errors meant for the user become one message and an exit code."""
+    limit_linear_algebra()
     try:
         app()
     except Exception as error:
@@ -139,6 +141,17 @@ def run_command(
         typer.Option(metavar="DIR", help="Run directory; runs/DATE-... if left out."),
     ] = None,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 as well.")] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve a page to watch and stop the robot.")
+    ] = False,
+    web_address: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT",
+            help="Where: 127.0.0.1:8050 if left out; elsewhere the page asks for a token.",
+            show_default=False,
+        ),
+    ] = None,
     record_images: Annotated[
         bool, typer.Option("--record-images", help="Keep every frame, for visctrl replay.")
     ] = False,
@@ -154,6 +167,7 @@ def run_command(
     """
     from visctrl.cli.overrides import flag_overrides
     from visctrl.cli.run import run
+    from visctrl.cli.watching import Watching
 
     overrides = flag_overrides(
         settings=settings,
@@ -174,7 +188,16 @@ def run_command(
         record_images=record_images,
     )
     try:
-        code = run(scenario, overrides, out, video=video, as_json=as_json, quiet=quiet)
+        watching = Watching(web=web_address or "" if web or web_address is not None else None)
+        code = run(
+            scenario,
+            overrides,
+            out,
+            video=video,
+            as_json=as_json,
+            quiet=quiet,
+            watching=watching,
+        )
     except KeyboardInterrupt:
         # Before or after the session, which handles its own.
         code = _INTERRUPTED

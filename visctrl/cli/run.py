@@ -15,12 +15,14 @@ from rich.console import Console
 
 from robots.errors import InputError
 from visctrl.cli.progress import Progress
+from visctrl.cli.watching import Watching, watchers
 from visctrl.config import Override, load_scenario
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import Outcome, run_session
 
 RUNS = Path("runs")
+NOBODY = Watching()
 
 
 def run(
@@ -31,6 +33,7 @@ def run(
     video: bool,
     as_json: bool,
     quiet: bool,
+    watching: Watching = NOBODY,
 ) -> int:
     """Run a scenario and report; return the exit code.
 
@@ -45,8 +48,14 @@ def run(
     plan = make_plan(loaded)
     directory = out if out is not None else _fresh_directory(plan)
     console = Console(stderr=True)
-    with _stdout_as_stderr(), Progress(console, plan, enabled=not quiet) as progress:
-        outcome = run_session(plan, directory, video=video, observers=[progress])
+    with (
+        _stdout_as_stderr(),
+        watchers(plan, watching) as outside,
+        Progress(console, plan, enabled=not quiet) as progress,
+    ):
+        observers = [progress, *outside.observers]
+        outcome = run_session(plan, directory, video=video, observers=observers, stop=outside.stop)
+        outside.finish(outcome)
     for note in outcome.notes:
         print(f"visctrl: {note}", file=sys.stderr)
     if as_json:

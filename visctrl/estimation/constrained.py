@@ -36,12 +36,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: With a smaller share of agreeing features, a solution is searched from scratch as well.
-_DOUBTFUL = 0.6
+DOUBTFUL = 0.6
 #: Residuals may be spread this many times wider than promised (drift of the tracks).
-_DRIFT = 3.0
+DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
-_CONTRADICTION, _RECONSIDER = 2.5, 10
+CONTRADICTION, _RECONSIDER = 2.5, 10
 _NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
@@ -88,7 +88,7 @@ class ConstrainedFit(TensorMethod):
             self._initial = InitialViewFilter(found)
         relation = self._relation(views)
         fit, agreeing = self._fit(relation, self._initial.view, views.sigma)
-        if fit.spread > _CONTRADICTION * views.sigma:
+        if fit.spread > CONTRADICTION * views.sigma:
             fit, agreeing = self._reconsidered(views, relation, fit, agreeing)
         initial = self._initial.view
         inliers = int(np.count_nonzero(agreeing))
@@ -176,7 +176,7 @@ class ConstrainedFit(TensorMethod):
         start = self._predicted(initial)
         fit = refine(relation, start, sigma)
         agreeing = self._agreeing(fit, sigma)
-        if np.count_nonzero(agreeing) >= _DOUBTFUL * len(relation) or len(relation) < 4:
+        if np.count_nonzero(agreeing) >= DOUBTFUL * len(relation) or len(relation) < 4:
             return fit, agreeing
         z, inliers = ransac(
             relation,
@@ -216,7 +216,7 @@ class ConstrainedFit(TensorMethod):
         return others_fit, others
 
     def _agreeing(self, fit: Fit, sigma: float) -> Mask:
-        limit = self.options.threshold_sigmas * min(fit.spread, _DRIFT * sigma)
+        limit = self.options.threshold_sigmas * min(fit.spread, DRIFT * sigma)
         return np.asarray(np.abs(fit.residuals) < limit)
 
     def _predicted(self, initial: InitialView) -> Array:

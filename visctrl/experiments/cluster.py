@@ -9,8 +9,9 @@ from typing import Any, TypeVar
 
 from hal.errors import DeviceError
 from robots.errors import InputError
-from visctrl.experiments.workers import Died, Results, limit_threads, stream
+from visctrl.experiments.workers import Died, Results, stream
 from visctrl.runtime.summary import versions
+from visctrl.threads import limit_all
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -49,7 +50,7 @@ class ClusterWorkers:
                 "--cluster needs Dask's distributed: pip install 'visctrl[cluster]'"
             ) from None
         # Lost connections are reported below, in one line.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        logging.getLogger("distributed").handlers = [logging.NullHandler()]
         self._address = address
         try:
             connect: Any = distributed.Client
@@ -94,7 +95,10 @@ class ClusterWorkers:
                     tried = error.allowed_failures + 1
                     yield item, Died(f"{tried} workers in a row died while they ran it")
                 except CancelledError:
-                    raise ClusterError(f"the Dask scheduler at {self._address} is gone") from None
+                    raise ClusterError(
+                        f"the Dask scheduler at {self._address} is gone; what is finished is kept: "
+                        "the same command goes on from there"
+                    ) from None
                 else:
                     yield item, result
         finally:
@@ -103,7 +107,7 @@ class ClusterWorkers:
 
 def _worker_versions() -> dict[str, str]:
     """Return the versions on a worker, and keep it to one thread a run from here on."""
-    limit_threads()
+    limit_all()
     return versions()
 
 

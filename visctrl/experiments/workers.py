@@ -16,21 +16,11 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Protocol, TypeVar
 
+from visctrl.threads import ONE_THREAD, limit_all
+
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Each worker keeps to one core: there are as many workers as cores, and results must not depend
-#: on how a library splits a sum.
-ONE_THREAD = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-        "OPENCV_FOR_THREADS_NUM",
-    ),
-    "1",
-)
 _NO_MORE: Any = object()
 
 
@@ -121,15 +111,6 @@ def default_workers() -> int:
     return os.cpu_count() or 1
 
 
-def limit_threads() -> None:
-    """Keep the libraries of this process to one thread, those already imported as well."""
-    os.environ.update(ONE_THREAD)
-    if "cv2" in sys.modules:
-        import cv2
-
-        cv2.setNumThreads(1)
-
-
 def _until(stop: Sized, items: Iterator[T]) -> Iterator[T]:
     """Yield items as long as ``stop`` is empty."""
     while not len(stop) and (item := next(items, _NO_MORE)) is not _NO_MORE:
@@ -217,7 +198,7 @@ def _signals_held_back() -> Iterator[None]:
 
 def _begin_worker(lifeline: Connection) -> None:
     """Prepare a worker: one thread, nothing on stdout, and an end when its parent ends."""
-    limit_threads()
+    limit_all()
     # C libraries greet on stdout, which is for results.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     threading.Thread(target=_outlive, args=(lifeline,), name="lifeline", daemon=True).start()

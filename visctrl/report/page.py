@@ -73,7 +73,7 @@ def verdict(status: str) -> str:
 
 def picture(file: Path, caption: str) -> str:
     """Return a ``<figure>`` that holds a picture; empty where there is none."""
-    image = cv2.imread(str(file))
+    image = cv2.imread(str(file)) if file.exists() else None
     if image is None:
         return ""
     ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])

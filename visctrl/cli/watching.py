@@ -1,0 +1,70 @@
+"""Those who watch a run from outside, by the options of ``visctrl run``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from visctrl.runtime.plan import Plan
+from visctrl.runtime.records import Observer
+from visctrl.runtime.session import Outcome
+from visctrl.runtime.stop import StopRequest
+
+if TYPE_CHECKING:
+    from visctrl.web.server import WebPage
+
+
+@dataclass(frozen=True)
+class Watching:
+    """Who is to watch.
+
+    web : address of the page, as the user wrote it; empty for the usual one, None for no page.
+    """
+
+    web: str | None = None
+
+
+class Watchers:
+    """What watches a run, and the stop that some of it may ask for."""
+
+    def __init__(self) -> None:
+        self.observers: list[Observer] = []
+        self.stop = StopRequest()
+        self._pages: list[WebPage] = []
+
+    def add_page(self, plan: Plan, address: str) -> WebPage:
+        """Make the page; it is served once it is entered."""
+        from visctrl.web.address import Address
+        from visctrl.web.server import DEFAULT_PORT, OPTION, WebPage
+        from visctrl.web.view import LiveView
+
+        view = LiveView(plan)
+        page = WebPage(view, self.stop, Address.parse(address, DEFAULT_PORT, OPTION))
+        self.observers.append(view)
+        self._pages.append(page)
+        return page
+
+    def finish(self, outcome: Outcome) -> None:
+        """Tell those who watch how the run ended."""
+        for page in self._pages:
+            page.finish(outcome.summary["status"], outcome.summary["reason"])
+
+
+@contextmanager
+def watchers(plan: Plan, watching: Watching) -> Iterator[Watchers]:
+    """Start what is to watch a run, and end it afterwards.
+
+    Raises
+    ------
+    InputError
+        Something cannot be started.
+    """
+    found = Watchers()
+    with ExitStack() as stack:
+        if watching.web is not None:
+            page = stack.enter_context(found.add_page(plan, watching.web))
+            print(f"visctrl: watch and stop the robot at {page.url}", file=sys.stderr, flush=True)
+        yield found
