@@ -32,6 +32,8 @@ _SETTLE_STEPS = 60
 _SONAR_HEIGHT_M = 0.2
 #: Collision groups: wheels roll on the floor; the body's outline meets everything else.
 _FLOOR, _THINGS, _BODY, _WHEELS = 1, 2, 4, 8
+#: The engine counts rays into its first group.
+_RAYS = _FLOOR
 
 
 class Physics:
@@ -224,7 +226,7 @@ class Physics:
             baseOrientation=orientation,
             physicsClientId=self.client,
         )
-        self._filter(body, -1, _THINGS, _BODY)
+        self._filter(body, -1, _THINGS, _BODY | _RAYS)
         return int(body)
 
     def _separate_wheels(self, links: set[int]) -> None:
