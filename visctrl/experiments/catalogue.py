@@ -107,6 +107,11 @@ _ENTRIES = (
         "visctrl.experiments.trifocal:figure_3_7",
     ),
     Entry(
+        "fig-3.10",
+        "SIFT and Lucas-Kanade on one recording: variance of the tensor's elements",
+        "visctrl.experiments.replay_entries:figure_3_10",
+    ),
+    Entry(
         "trifocal-2d",
         "the earlier scheme on the 2D tensor against the 1D tensor (bounds are the project's own)",
         "visctrl.experiments.trifocal:earlier_scheme",
