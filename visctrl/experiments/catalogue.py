@@ -121,6 +121,16 @@ _ENTRIES = (
         "the trifocal robot experiment on the simulator (bounds are the project's own)",
         "visctrl.experiments.trifocal:robot_3_14",
     ),
+    Entry(
+        "calibrate-camera",
+        "(ξ, K) from rendered boards, every camera (bounds are the project's own)",
+        "visctrl.experiments.calibration:cameras",
+    ),
+    Entry(
+        "calibrate-center",
+        "projection centre from rendered vertical lines (bounds are the project's own)",
+        "visctrl.experiments.calibration:centres",
+    ),
 )
 ENTRIES = {entry.name: entry for entry in _ENTRIES}
 
