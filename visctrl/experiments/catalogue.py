@@ -112,6 +112,11 @@ _ENTRIES = (
         "visctrl.experiments.replay_entries:figure_3_10",
     ),
     Entry(
+        "trifocal-smooth",
+        "the smooth trifocal law against the sliding-mode one (bounds are the project's own)",
+        "visctrl.experiments.trifocal_laws:smooth_law",
+    ),
+    Entry(
         "trifocal-2d",
         "the earlier scheme on the 2D tensor against the 1D tensor (bounds are the project's own)",
         "visctrl.experiments.trifocal:earlier_scheme",
