@@ -107,6 +107,11 @@ _ENTRIES = (
         "visctrl.experiments.trifocal:figure_3_7",
     ),
     Entry(
+        "fig-3.10",
+        "SIFT and Lucas-Kanade on one recording: variance of the tensor's elements",
+        "visctrl.experiments.replay_entries:figure_3_10",
+    ),
+    Entry(
         "trifocal-smooth",
         "the smooth trifocal law against the sliding-mode one (bounds are the project's own)",
         "visctrl.experiments.trifocal_laws:smooth_law",
@@ -155,6 +160,16 @@ _ENTRIES = (
         "robot-4.8",
         "the pose robot experiment on the simulator (bounds are the project's own)",
         "visctrl.experiments.pose_figures:robot_4_8",
+    ),
+    Entry(
+        "calibrate-camera",
+        "(ξ, K) from rendered boards, every camera (bounds are the project's own)",
+        "visctrl.experiments.calibration:cameras",
+    ),
+    Entry(
+        "calibrate-center",
+        "projection centre from rendered vertical lines (bounds are the project's own)",
+        "visctrl.experiments.calibration:centres",
     ),
 )
 ENTRIES = {entry.name: entry for entry in _ENTRIES}
