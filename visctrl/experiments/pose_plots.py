@@ -1,4 +1,4 @@
-"""Pictures of the pose scheme: consistency over many runs, and single runs side by side."""
+"""Pictures of the pose scheme: consistency over many runs, single runs side by side."""
 
 from __future__ import annotations
 
