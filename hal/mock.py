@@ -152,6 +152,18 @@ class MockBackend(Backend):
             for k in range(count)
         ]
 
+    @property
+    def scene(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+        """The points (N, 3) of the scene in the target's frame (m)."""
+        return self._projector.points
+
+    def noise(self, count: int) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
+        """Draw the noise (count, N, 2) of the next images (px), which then will not have it.
+
+        For whoever makes these images instead: see `visctrl.montecarlo`.
+        """
+        return self.camera.noise(count, len(self.scene))
+
     def truth(self) -> Pose | None:
         """Return the camera's true pose in the target's frame; None when closed."""
         if self._motion is None:
@@ -160,6 +172,7 @@ class MockBackend(Backend):
         return self._motion.camera_pose()
 
     # Narrower than the interface: what this backend really has.
+    camera: MockCamera
     clock: WorldClock
     base: MockBase
 
@@ -193,6 +206,12 @@ class MockCamera(Camera):
             self._newest = self._capture.deliver(now, lambda: self._expose(now))
             self._read_at = now
         return self._newest
+
+    def noise(
+        self, count: int, features: int
+    ) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
+        """Draw the noise (count, features, 2) of the next images (px)."""
+        return self._rng.normal(scale=self._projector.noise, size=(count, features, 2))
 
     def _expose(self, now: float) -> Frame:
         self._sequence += 1
@@ -235,15 +254,15 @@ class _Projector:
     def __init__(
         self, points: np.ndarray[tuple[int, int]], camera: CentralCamera, noise: float
     ) -> None:
-        self._points = points
+        self.points = points
         self._camera = camera
-        self._noise = noise
+        self.noise = noise
         self._ids = np.arange(len(points), dtype=np.int64)
 
     def image(self, pose: Pose, rng: np.random.Generator) -> Features:
-        pixels, seen = self._camera.robot_pixels(seen_from(self._points, pose))
-        if self._noise > 0.0:
-            pixels += rng.normal(scale=self._noise, size=pixels.shape)
+        pixels, seen = self._camera.robot_pixels(seen_from(self.points, pose))
+        if self.noise > 0.0:
+            pixels += rng.normal(scale=self.noise, size=pixels.shape)
         return Features(self._ids[seen], pixels[seen])
 
 
