@@ -2,7 +2,9 @@
 
 Teaches the target in simulation, then for every scheme and kind of port starts
 ``visctrl emulate-pioneer`` and ``visctrl run --backend pioneer``. Prints where the robot truly
-ended, how late the ticks were, and what the emulator says of the packets that it received.
+ended, how late the ticks were, what the emulator says of the packets that it received, and how
+much processor time a hypervisor has kept from this machine meanwhile, which no program can make
+up for.
 
     python benchmarks/real_path.py [--scheme NAME]... [--port pty|socket]... [--width PX] [--json]
 """
@@ -35,7 +37,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scheme", action="append", choices=SCHEMES)
     parser.add_argument("--port", action="append", choices=PORTS)
-    parser.add_argument("--width", default="400", help="image width (px)")
+    parser.add_argument("--width", default="800", help="image width (px)")
     parser.add_argument("--start", nargs=3, default=START, metavar=("X", "Y", "PHI_DEG"))
     parser.add_argument("--keep", type=Path, help="where to leave the runs' files")
     parser.add_argument("--json", action="store_true")
@@ -81,14 +83,17 @@ class Site:
         out = self._folder / f"{scheme}-{port}"
         kind = "socket:0" if port == "socket" else port
         with self._emulator(kind, mount, Path(f"{out}.log")) as (emulator, line, url):
+            stolen = _stolen_s()
             self._call(
                 *("run", "--backend", "pioneer", "--scheme", scheme, "--target", str(target)),
                 *("--port", line, "--camera-url", url, "--out", str(out), "--json", "--quiet"),
                 *options,
             )
+            stolen = _stolen_s() - stolen
             emulator.terminate()
             _, messages = emulator.communicate(timeout=20)
-        return _row(scheme, port, json.loads((out / "summary.json").read_text()), messages)
+        summary = json.loads((out / "summary.json").read_text())
+        return {**_row(scheme, port, summary, messages), "stolen_s": round(stolen, 1)}
 
     @contextmanager
     def _emulator(
@@ -116,6 +121,15 @@ class Site:
             print(done.stderr, end="", file=sys.stderr)
         if done.returncode not in (0, 1) or "Traceback" in done.stderr:
             raise SystemExit(f"{' '.join(arguments)}: exit code {done.returncode}")
+
+
+def _stolen_s() -> float:
+    """Return the processor time (s) that a hypervisor has kept from this machine (Linux)."""
+    try:
+        fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()
+    except OSError:
+        return 0.0
+    return int(fields[8]) / os.sysconf("SC_CLK_TCK")
 
 
 def _row(scheme: str, port: str, summary: dict[str, Any], messages: str) -> dict[str, Any]:

@@ -37,6 +37,17 @@ def read_yaml(source: Path | Traversable) -> dict[str, Any]:
         raise InputError(f"{source}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{source}: cannot be read: {error}") from None
+    return parse_yaml(text, str(source))
+
+
+def parse_yaml(text: str, source: str) -> dict[str, Any]:
+    """Return the mapping that a YAML text holds; ``source`` names it in messages.
+
+    Raises
+    ------
+    InputError
+        Not YAML, or not a mapping.
+    """
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as error:

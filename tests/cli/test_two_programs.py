@@ -18,7 +18,18 @@ ROOT = Path(__file__).parents[2]
 def test_taught_emulated_and_driven_by_separate_programs(port: str, tmp_path: Path) -> None:
     """The benchmark's judgement, from near by and with a small picture."""
     command = [sys.executable, str(ROOT / "benchmarks" / "real_path.py")]
-    options = ["--scheme", "trifocal", "--port", port, "--start", "0.2", "-1.5", "8"]
+    options = [
+        "--scheme",
+        "trifocal",
+        "--port",
+        port,
+        "--width",
+        "400",
+        "--start",
+        "0.2",
+        "-1.5",
+        "8",
+    ]
     done = subprocess.run(
         [*command, *options], cwd=tmp_path, env=dict(os.environ), capture_output=True, text=True,
         timeout=200, check=False,

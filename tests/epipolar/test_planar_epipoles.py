@@ -19,6 +19,7 @@ from visctrl.geometry.epipolar_planar import (
     sampson_residuals,
     turned,
 )
+from visctrl.geometry.planar import ransac_planar_motion
 from visctrl.plugins import Health
 
 Pose = tuple[float, float, float]
@@ -209,6 +210,21 @@ def test_following_is_exact_without_noise_however_far_the_start() -> None:
     exact = ransac_planar_epipoles(a, b, views.sigma, seed=1)
     followed = refine_planar_epipoles(a, b, turned(exact.vector, 0.003, -0.003), views.sigma)
     assert followed.direction == pytest.approx(exact.direction, abs=1e-8)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.2])
+def test_far_pairs_of_a_calibrated_perspective_camera_are_determined(outliers: float) -> None:
+    """Driving ahead, most rays lie near the baseline and are noisy; together they tell."""
+    errors = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        start = (rng.uniform(-1, 1), rng.uniform(-18, -2), rng.uniform(-0.2, 0.2))
+        world = World(start, noise_px=0.5, seed=seed, outliers=outliers)
+        views = world.views(start, 0.0)
+        found = ransac_planar_motion(views.current, views.target, views.sigma, seed=1)
+        assert found.health is Health.OK, found.reason
+        errors.append(abs(float(wrap_angle(found.direction - bearing_of((0, 0, 0), start)))))
+    assert math.degrees(np.median(errors)) < 0.25
 
 
 def _pair(world: World, start: Pose, seed: int):

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from three_views import rays_seen, scene
 
 from robots.unicycle import wrap_angle
+from visctrl.geometry.parallax import signed_parallax
 from visctrl.geometry.planar import (
     essential_matrix,
     ransac_planar_motion,
     refine_planar_motion,
     sampson_residuals,
-    signed_parallax,
 )
 from visctrl.plugins import Health
 

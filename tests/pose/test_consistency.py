@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hal.types import Pose
 from robots.errors import InputError
@@ -103,3 +106,21 @@ def test_what_cannot_be_driven_is_refused_before_anything_moves(
         run(settings, tmp_path / "run")
     assert caught.value.exit_code == 2
     assert not (tmp_path / "run").exists()
+
+
+@given(st.integers(0, 2**32))
+def test_nees_is_the_quadratic_form_of_the_inverse_covariance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(3, 3)) * rng.uniform(1e-3, 1.0, (3, 1)) + 1e-4 * np.eye(3)
+    error = rng.uniform(-0.5, 0.5, 3)
+    covariance = root @ root.T
+    judged = replace(estimate(Pose(*error)), covariance=covariance)
+    expected = error @ np.linalg.solve(covariance, error)
+    condition = np.linalg.cond(covariance)
+    assert nees(judged, Pose(0.0, 0.0, 0.0)) == pytest.approx(expected, rel=1e-13 * condition)
+
+
+@pytest.mark.parametrize("variance", [0.0, -1.0, math.nan])
+def test_without_a_proper_covariance_there_is_no_nees(variance: float) -> None:
+    judged = replace(estimate(Pose(0.1, 0, 0)), covariance=np.diag([1.0, variance, 1.0]))
+    assert math.isnan(nees(judged, Pose(0.0, 0.0, 0.0)))

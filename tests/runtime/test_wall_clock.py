@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable
 
@@ -12,6 +13,7 @@ from toy_plugins import SpyBackend
 from hal.errors import LinkError
 from hal.types import STANDSTILL
 from visctrl.runtime.plan import Plan
+from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
 from visctrl.runtime.watchdog import Watchdog
 
@@ -32,6 +34,25 @@ def test_ticks_keep_their_deadlines(toy_plan: Callable[..., Plan]) -> None:
     else:
         assert lateness["median"] <= 10.0
         assert summary["ticks"] >= 0.8 * 10 * seconds
+
+
+class Intervals(Observer):
+    """Notes how long a thread may keep the interpreter, in every tick."""
+
+    def __init__(self) -> None:
+        self.seen: set[float] = set()
+
+    def on_tick(self, record: TickRecord) -> None:
+        self.seen.add(sys.getswitchinterval())
+
+
+@pytest.mark.parametrize("realtime", [True, False])
+def test_threads_are_prompt_where_time_runs(toy_plan: Callable[..., Plan], realtime: bool) -> None:
+    intervals, before = Intervals(), sys.getswitchinterval()
+    run_session(toy_plan({"controller.drive_s": 0.3, "realtime": realtime}), observers=[intervals])
+    (seen,) = intervals.seen
+    assert seen <= 0.001 if realtime else seen == before
+    assert sys.getswitchinterval() == before
 
 
 def test_the_robot_is_stopped_while_a_plugin_hangs(toy_plan: Callable[..., Plan]) -> None:

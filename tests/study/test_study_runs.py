@@ -132,6 +132,25 @@ def test_a_killed_study_goes_on_where_it_was(
     assert (tmp_path / TABLE).read_bytes() == undisturbed
 
 
+def test_a_run_that_kills_its_worker_is_named_and_not_taken_for_finished(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """By SIGKILL and by SIGTERM, which a run takes for the wish to end it."""
+    path = tmp_path / "deadly.yaml"
+    study = {
+        "settings": {"approach.enabled": False, "controller.name": "study_plugins:Killer"},
+        "grid": {"controller.number": [0, int(signal.SIGKILL), int(signal.SIGTERM)]},
+    }
+    path.write_text(yaml.safe_dump(study))
+    assert run(["study", str(path), "--out", str(tmp_path), "--workers", "2", "-q"]) == 1
+    errors = capfd.readouterr().err
+    assert "run 1 failed: its process died, and again when" in errors
+    assert "run 2 failed: stopped by SIGTERM, and again when" in errors
+    rows = list(csv.DictReader((tmp_path / TABLE).read_text().splitlines()))
+    assert [row["status"] for row in rows] == ["missed", "died", "died"]
+    assert len(logged(tmp_path)) == 1
+
+
 def test_ctrl_c_leaves_a_table_of_what_is_finished(
     file: Path, tmp_path: Path, undisturbed: bytes
 ) -> None:
@@ -146,7 +165,7 @@ def test_ctrl_c_leaves_a_table_of_what_is_finished(
             break
         time.sleep(0.01)
     os.killpg(study.pid, signal.SIGINT)
-    _, errors = study.communicate(timeout=30.0)
+    _, errors = study.communicate(timeout=120.0)
     assert study.returncode == 130
     assert "Traceback" not in errors
     assert "stopped by Ctrl-C with" in errors
@@ -198,6 +217,18 @@ def test_folders_of_others_are_refused(file: Path, tmp_path: Path) -> None:
     (tmp_path / LOG).write_text("something else\n")
     with pytest.raises(InputError, match="not the log of a study"):
         table(load_study(str(path)), tmp_path, LocalWorkers(1))
+
+
+def test_the_parquet_table_is_the_csv_table(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    rows = [
+        {"run": 0, "mock.noise_px": 0, "title": "a", "x_cm": 0.1, "camera": None},
+        {"run": 1, "mock.noise_px": 0.5, "title": 2, "x_cm": None, "camera": [1, 2]},
+    ]
+    csv_file, parquet = write_table(rows, tmp_path)
+    found = pandas.read_parquet(parquet)
+    assert found.equals(pandas.read_csv(csv_file))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,13 @@ from typing import Annotated
 
 import typer
 
+from visctrl.cli.calibration import calibration
+
 
 def add_image_commands(app: typer.Typer) -> None:
-    """Add ``replay`` to the program."""
+    """Add ``replay`` and ``calibrate`` to the program."""
     app.command("replay")(replay_command)
+    app.add_typer(calibration, name="calibrate")
 
 
 def replay_command(

@@ -75,6 +75,8 @@ def _show(entry: Entry, rows: list[Row], out: Path) -> None:
     table = Table("case", "quantity", "published", "ours", "difference", "", title=entry.title)
     for row in rows:
         verdict = "ok" if row.ok else "[bold red]worse[/bold red]"
+        if row.ok and not row.published:
+            verdict = "shown"
         for key, ours in row.ours.items():
             published = row.published.get(key)
             known = published is not None

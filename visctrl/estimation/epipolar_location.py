@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hal.types import Velocity
 from robots.unicycle import step_exact, wrap_angle
+from visctrl.estimation.epipolar_position import Placed, place_view
 from visctrl.estimation.epipole_estimates import EpipolePair, Location
 
 Array = NDArray[np.float64]
@@ -71,6 +72,7 @@ class LocationFilter:
         self._lines: dict[str, _Line] = {}
         #: Names of the lines that the last update measured.
         self._fresh: list[str] = []
+        self._placed: Placed | None = None
 
     def predict(self, sent: Velocity, dt: float) -> None:
         """Move the state along the exact arc of ``sent`` during ``dt`` seconds."""
@@ -103,6 +105,21 @@ class LocationFilter:
             direction = self._phi1 - reference.bearing_a
             self._on_line("reference", direction, self._origin, reference.sd_a)
 
+    def place(self, rays: tuple[Array, Array, Array], sigma: float) -> None:
+        """Take in where the features (target, reference, current) put the current view.
+
+        See `place_view`. The lines of the last update remain; near the target they say less.
+        """
+        reference = (float(self._origin[0]), float(self._origin[1]), self._phi1)
+        here = (float(self._x[0]), float(self._x[1]), float(self._x[2]))
+        self._placed = place_view(rays, reference, here, sigma)
+        if self._placed is None:
+            return
+        variances, axes = np.linalg.eigh(self._placed.covariance)
+        for variance, axis in zip(variances, axes.T, strict=True):
+            innovation = float(axis @ (self._placed.position - self._x[:2]))
+            self._correct(np.array([*axis, 0.0, 0.0]), innovation, math.sqrt(variance))
+
     @property
     def location(self) -> Location:
         """The present estimate; its covariance includes what the fixed views' noise may cost."""
@@ -116,6 +133,8 @@ class LocationFilter:
 
         Half of a line's variance stems from the fixed view, and no averaging removes it.
         """
+        if self._placed is not None:
+            return np.asarray(self._placed.covariance / 2.0)
         if len(self._lines) < 2:
             return np.zeros((2, 2))
         normals = np.stack([line.normal for line in self._lines.values()])

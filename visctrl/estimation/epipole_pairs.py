@@ -13,19 +13,21 @@ from robots.errors import InputError
 from robots.unicycle import wrap_angle
 from visctrl.geometry.epipolar import Epipole
 from visctrl.geometry.epipolar_planar import (
+    ONE_PLANE,
     PlanarEpipoles,
     ransac_planar_epipoles,
     refine_planar_epipoles,
     turned,
 )
 from visctrl.geometry.epipolar_robust import robust_essential, robust_fundamental
+from visctrl.geometry.parallax import signed_parallax
 from visctrl.geometry.planar import (
     PlanarMotion,
     ransac_planar_motion,
     refine_planar_motion,
     sampson_residuals,
-    signed_parallax,
 )
+from visctrl.geometry.planar_rivals import rival_motion
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -60,7 +62,11 @@ class Calibrated:
 
     def search(self, a: Array, b: Array, sigma: float, hypotheses: int, seed: int) -> PlanarMotion:
         """Return the motion that most of the rays (N, 3) agree with."""
-        return ransac_planar_motion(a, b, sigma, seed=seed, hypotheses=hypotheses)
+        motion = ransac_planar_motion(a, b, sigma, seed=seed, hypotheses=hypotheses)
+        if motion.health is Health.OK and rival_motion(a, b, motion, sigma, seed=seed) is not None:
+            unknown = np.diag([np.inf, np.inf])
+            return replace(motion, covariance=unknown, health=Health.DEGENERATE, reason=ONE_PLANE)
+        return motion
 
     def refine(
         self, a: Array, b: Array, near: PlanarMotion, turns: tuple[float, float], sigma: float
@@ -177,6 +183,8 @@ class PairFollower:
 
     def _may_follow(self, last: PlanarMotion) -> bool:
         """Return whether the last motion is a start; one that is not determined may mislead."""
+        if last.reason == ONE_PLANE:
+            return False
         if last.health is Health.DEGENERATE:
             return self._calls % _SEARCH_EVERY != 0
         return last.health is Health.OK

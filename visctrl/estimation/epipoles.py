@@ -14,7 +14,8 @@ from hal.types import Velocity
 from robots.documents import Document
 from visctrl.estimation.epipolar_location import LocationFilter
 from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
-from visctrl.estimation.epipole_pairs import PairFollower, Solver, solver_for
+from visctrl.estimation.epipole_pairs import Calibrated, PairFollower, Solver, solver_for
+from visctrl.geometry.epipolar_planar import ONE_PLANE
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
 Array = NDArray[np.float64]
@@ -93,6 +94,8 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
     def __init__(self, options: EpipolesOptions, context: Context) -> None:
         super().__init__(options, context)
         self._solver = solver_for(options.solver, context.camera)
+        #: Whether angles are angles: without a calibration, points in space are not.
+        self._metric = isinstance(self._solver, Calibrated)
         self.reset()
 
     def reset(self) -> None:
@@ -120,8 +123,12 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         sigma, turn = views.sigma, sent.omega * dt
         target = self._pair("target", (views.current, views.target), sigma, (turn, 0.0))
         initial = self._pair("initial", self._reference_rays(views), sigma, (0.0, turn))
-        if self._fixed is None or self._fixed.health is Health.LOST:
+        if self._fixed is None or not self._fixed.usable(self.options.sd_limit_rad):
             self._fixed = self._pair("fixed", (views.initial, views.target), sigma, (0.0, 0.0))
+            if not self._fixed.usable(self.options.sd_limit_rad):
+                reason = f"start and target cannot be told apart: {_problem(self._fixed)}"
+                self._last = EpipoleEstimate(Health.LOST, reason)
+                return self._last
         self._locate(views, target, initial)
         self._store(views, target)
         aligned = None
@@ -180,6 +187,15 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
             return views.initial, views.current
         return self._reference.common(views)
 
+    def _three_rays(self, views: Views) -> tuple[Array, Array, Array]:
+        """Return the rays of the features that target, reference and current view share."""
+        if self._reference is None:
+            return views.target, views.initial, views.current
+        _, here, there = np.intersect1d(
+            self._reference.ids, views.ids, assume_unique=True, return_indices=True
+        )
+        return views.target[there], self._reference.rays[here], views.current[there]
+
     def _locate(self, views: Views, target: EpipolePair, initial: EpipolePair) -> None:
         if self._filter is None:
             if self._fixed is not None and self._fixed.usable(self.options.sd_limit_rad):
@@ -187,6 +203,8 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
                 self._filter = self._filter_from(self._fixed, guess, _DISTANCE_SD)
             return
         self._filter.update(target, initial, self.options.sd_limit_rad)
+        if self._metric:
+            self._filter.place(self._three_rays(views), views.sigma)
         self._move_reference(views, target, self._filter)
 
     def _filter_from(self, fixed: EpipolePair, guess: float, sd: float) -> LocationFilter:
@@ -219,3 +237,13 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         due = self._within * self.context.period_s >= 1.0 if after is None else self._time >= after
         if due:
             self._aligned = _StoredView(views.ids.copy(), views.current.copy())
+
+
+def _problem(pair: EpipolePair) -> str:
+    """Return why a pair of views does not do, and what to do."""
+    if pair.reason == ONE_PLANE:
+        return pair.reason
+    if pair.reason:
+        return f"{pair.reason}; start farther from the target, or where more is to be seen"
+    sd = np.degrees(max(pair.sd_a, pair.sd_b))
+    return f"the epipoles are known to {sd:.0f} deg only: start farther from the target"

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from hal.types import Pose
@@ -55,6 +56,40 @@ class Innovation:
     def dof(self) -> int:
         """Dimension of the innovation."""
         return len(self.used)
+
+
+@dataclass(frozen=True)
+class _Slopes:
+    """The measurements' Jacobian H (M, 6 + 2N), of which eight numbers in a row are not zero.
+
+    core : (M, 6) by what all features share. own : (2, M) by the feature's own two errors, whose
+    columns are first and third : (M,).
+    """
+
+    core: Array
+    own: Array
+    first: Index
+    third: Index
+
+    def at(self, rows: Index) -> _Slopes:
+        """Return some of the rows."""
+        if len(rows) == len(self.first):
+            return self
+        return _Slopes(self.core[rows], self.own[:, rows], self.first[rows], self.third[rows])
+
+    def times(self, right: Array) -> Array:
+        """Return H right (M, K), for ``right`` (6 + 2N, K)."""
+        product = np.asarray(self.core @ right[:CORE], dtype=np.float64)
+        product += self.own[0, :, None] * right[self.first]
+        product += self.own[1, :, None] * right[self.third]
+        return product
+
+    def diagonal(self, left: Array) -> Array:
+        """Return the diagonal (M,) of left Hᵀ, for ``left`` (M, 6 + 2N)."""
+        rows = np.arange(len(left))
+        shared = np.einsum("ij,ij->i", left[:, :CORE], self.core)
+        own = left[rows, self.first] * self.own[0] + left[rows, self.third] * self.own[1]
+        return np.asarray(shared + own, dtype=np.float64)
 
 
 class TransferFilter:
@@ -153,36 +188,33 @@ class TransferFilter:
             Bearings that are badly conditioned or contradict the state are left out.
         """
         transfer = self.transfer(index)
-        first, third = CORE + index, CORE + self.count + index
-        core = self.core_jacobian(transfer)
-        slopes = -transfer.by_bearings.T[..., None]
         innovation = wrap_half_turn(theta2 - transfer.bearing)
-        # H P (M, 6 + 2N), with eight entries in a row of H.
-        HP = core @ self.P[:CORE] + slopes[0] * self.P[first] + slopes[1] * self.P[third]
-        predicted = np.einsum("ij,ij->i", HP[:, :CORE], core)
-        rows = np.arange(len(index))
-        predicted += HP[rows, first] * slopes[0, :, 0] + HP[rows, third] * slopes[1, :, 0]
-        good = (np.abs(transfer.parallax) > MINIMUM_PARALLAX) & (predicted < _MAX_PREDICTED_SD**2)
-        good &= innovation**2 < _GATE**2 * (predicted + sigma2**2)
-        used = np.flatnonzero(good)
+        core, slopes = self.core_jacobian(transfer), -transfer.by_bearings.T
+        used = np.flatnonzero(np.abs(transfer.parallax) > MINIMUM_PARALLAX)
+        H = _Slopes(core, slopes, CORE + index, CORE + self.count + index).at(used)
+        HP = H.times(self.P)
+        predicted = H.diagonal(HP)
+        good = predicted < _MAX_PREDICTED_SD**2
+        good &= innovation[used] ** 2 < _GATE**2 * (predicted + sigma2[used] ** 2)
+        if not good.all():
+            used, H, HP = used[good], H.at(np.flatnonzero(good)), HP[good]
         if not len(used):
             return Innovation(0.0, used)
-        HP, core, slopes = HP[used], core[used], slopes[:, used, 0]
-        S = HP[:, :CORE] @ core.T
-        S += HP[:, first[used]] * slopes[0] + HP[:, third[used]] * slopes[1]
-        S[np.arange(len(used)), np.arange(len(used))] += sigma2[used] ** 2
+        S = H.times(HP.T)
+        S.flat[:: len(used) + 1] += sigma2[used] ** 2
         return Innovation(self._update(HP, S, innovation[used]), used)
 
     def _update(self, HP: Array, S: Array, innovation: Array) -> float:
         """Update by an innovation and its covariance; return its normalised square.
 
         With S = L Lᵀ and W = L⁻¹ H P the gain is Wᵀ L⁻¹ and the covariance falls by Wᵀ W.
+        ``HP`` and ``S`` are used up: transposed they are what LAPACK works on in place.
         """
-        L, failed = dpotrf(S, lower=True)
+        L, failed = dpotrf(S.T, lower=True, overwrite_a=True)
         if failed:
             raise np.linalg.LinAlgError("the covariance of the innovation is not definite")
-        whitened, _ = dtrtrs(L, np.column_stack([HP, innovation]), lower=True)
-        W, y = whitened[:, :-1], whitened[:, -1]
+        y, _ = dtrtrs(L, innovation, lower=True)
+        W = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
         self.x += y @ W
         self.P -= W.T @ W
         return float(y @ y)

@@ -107,6 +107,11 @@ _ENTRIES = (
         "visctrl.experiments.trifocal:figure_3_7",
     ),
     Entry(
+        "trifocal-smooth",
+        "the smooth trifocal law against the sliding-mode one (bounds are the project's own)",
+        "visctrl.experiments.trifocal_laws:smooth_law",
+    ),
+    Entry(
         "trifocal-2d",
         "the earlier scheme on the 2D tensor against the 1D tensor (bounds are the project's own)",
         "visctrl.experiments.trifocal:earlier_scheme",

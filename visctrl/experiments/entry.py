@@ -63,3 +63,9 @@ def at_most(case: str, published: Mapping[str, float], ours: Mapping[str, float]
     """Return a row that is ok if no magnitude of ours exceeds the published one's."""
     ok = all(abs(ours[key]) <= abs(bound) for key, bound in published.items())
     return Row(case, published, ours, ok)
+
+
+def at_least(case: str, published: Mapping[str, float], ours: Mapping[str, float]) -> Row:
+    """Return a row that is ok if every magnitude of ours reaches the published one's."""
+    ok = all(abs(ours[key]) >= abs(bound) for key, bound in published.items())
+    return Row(case, published, ours, ok)

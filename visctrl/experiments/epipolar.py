@@ -1,24 +1,31 @@
 """Chapter 2 of the source: epipolar control, its tables and figures made again.
 
 The tables and noise figures run on the mock: an ideal robot, features projected into images and
-the epipoles estimated from them. The dynamic model and the robot run on the simulator.
+the epipoles estimated from them. The dynamic model and the robot run on the simulator. The smooth
+law is judged; the source's own law is shown beside it, in rows without a published side.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from visctrl.experiments.entry import Bench, Row, at_most
-from visctrl.experiments.epipolar_plots import plot_runs
+from visctrl.experiments.cases import (
+    Start,
+    Summary,
+    column,
+    distances,
+    errors,
+    folder_name,
+    named,
+    start_at,
+    start_name,
+)
+from visctrl.experiments.entry import Bench, Row, at_least, at_most
+from visctrl.experiments.epipolar_plots import plot_motion, plot_runs, plot_scatter, plot_sweeps
 from visctrl.experiments.jobs import Job
-
-Start = tuple[float, float, float]
-Summary = Mapping[str, Any]
 
 #: Table 2.1: starts (m, m, deg) and published final errors (cm, cm, deg).
 TABLE_2_1: tuple[tuple[Start, tuple[float, float, float]], ...] = (
@@ -35,143 +42,235 @@ OMNIDIRECTIONAL: tuple[tuple[Start, str], ...] = (
     ((8.0, -16.0, 10.0), "fisheye"),
     ((2.5, -12.0, 11.77), "hypercatadioptric"),
 )
+WRONG_START: Start = (2.0, -7.0, 30.0)
+NOISY_START: Start = (-6.0, -16.0, -10.0)
 SEEDS = range(1000, 1020)
-_IDEAL = ("backend=mock", "scheme=epipolar", "mock.ideal=true")
-_SIM = ("backend=sim", "scheme=epipolar")
+FEW_SEEDS = SEEDS[:5]
+#: Bounds on rendered images: distance (cm) by camera, and heading (deg).
+SIMULATED_CM = {
+    "perspective": 5.0,
+    "hypercatadioptric": 2.0,
+    "paracatadioptric": 2.0,
+    "fisheye": 2.0,
+}
+SIMULATED_DEG = 1.0
+#: |v| of the unprotected law at the singularity over that of the sliding mode, at least.
+EXPLOSION = 10.0
+SMOOTH, SOURCE = "smooth law", "source's law"
 
 
 def table_2_1(bench: Bench) -> list[Row]:
     """Four starts with one set of parameters: the smooth law, and the source's beside it."""
-    ours = [_ideal(bench, start, "smooth") for start, _ in TABLE_2_1]
-    source = [_ideal(bench, start, "source") for start, _ in TABLE_2_1]
-    summaries = bench.run([*ours, *source])
-    plot_runs(bench.out, [job.out for job in ours], "smooth law")
+    starts = [start for start, _ in TABLE_2_1]
+    ours, source = (
+        {start_name(s): _ideal(bench, s, law) for s in starts} for law in (SMOOTH, SOURCE)
+    )
+    summaries = bench.run([*ours.values(), *source.values()])
+    plot_runs(bench.out, _both(ours, source), "Table 2.1")
     rows = []
     for (start, (_, y, phi)), summary in zip(TABLE_2_1, summaries, strict=False):
         published = {"x_cm": X_RESOLUTION_CM, "y_cm": y, "phi_deg": phi}
-        rows.append(at_most(_case(start), published, _errors(summary)))
-    for (start, _), summary in zip(TABLE_2_1, summaries[len(TABLE_2_1) :], strict=True):
-        # Shown beside ours and not judged: at 10 Hz its chatter costs it its published numbers.
-        rows.append(Row(f"{_case(start)} source's law", {}, _errors(summary), True))
-    for mine, theirs, (start, _) in zip(ours, source, TABLE_2_1, strict=True):
-        tenth = 0.1 * chatter(theirs.out)
-        bound, found = {"omega_variation": tenth}, {"omega_variation": chatter(mine.out)}
-        rows.append(at_most(f"{_case(start)} a tenth of the source's chatter", bound, found))
+        rows.append(at_most(f"{start_name(start)} {SMOOTH}", published, errors(summary)))
+    # At 10 Hz its chatter costs the source's law its published numbers.
+    rows += [_shown(start, s) for start, s in zip(starts, summaries[len(starts) :], strict=True)]
+    for case, job in ours.items():
+        theirs = chatter(source[case].out)
+        found = {"omega_variation_rad_s": chatter(job.out)}
+        bound = {"omega_variation_rad_s": 0.1 * theirs}
+        rows.append(at_most(f"{case} a tenth of the source's chatter", bound, found))
     return rows
 
 
 def table_2_1_noise(bench: Bench) -> list[Row]:
     """Add half a pixel of noise to the four starts: mean and deviation over fresh seeds."""
     starts = [start for start, _ in TABLE_2_1]
-    jobs = [_noisy(start, seed, 20.0) for start in starts for seed in SEEDS]
-    errors = np.array([list(_errors(s).values()) for s in bench.run(jobs)])
+    jobs = [
+        _noisy(start, seed, 20.0, law)
+        for law in (SMOOTH, SOURCE)
+        for start in starts
+        for seed in SEEDS
+    ]
+    found = [errors(summary) for summary in bench.run(jobs)]
+    groups = [found[i : i + len(SEEDS)] for i in range(0, len(found), len(SEEDS))]
+    ours = dict(zip(map(start_name, starts), groups, strict=False))
+    plot_scatter(bench.out, ours, f"{len(SEEDS)} seeds, 0.5 px noise, {SMOOTH}")
     rows = []
-    for start, group in zip(starts, errors.reshape(len(starts), len(SEEDS), 3), strict=True):
-        mean, deviation = group.mean(axis=0), group.std(axis=0, ddof=1)
-        rows.append(at_most(f"{_case(start)} mean", _named(1.0, 1.0, 0.1), _named(*mean)))
-        bounds = _named(3.0, 3.0, 0.2)
-        rows.append(at_most(f"{_case(start)} st. dev.", bounds, _named(*deviation)))
+    for case, group in ours.items():
+        mean, deviation = _spread(group)
+        rows.append(at_most(f"{case} {SMOOTH}, mean", named(1.0, 1.0, 0.1), mean))
+        rows.append(at_most(f"{case} {SMOOTH}, st. dev.", named(3.0, 3.0, 0.2), deviation))
+    for start, group in zip(starts, groups[len(starts) :], strict=True):
+        for name, values in zip(("mean", "st. dev."), _spread(group), strict=True):
+            rows.append(Row(f"{start_name(start)} {SOURCE}, {name}", {}, values, True))
     return rows
 
 
 def figure_2_5(bench: Bench) -> list[Row]:
-    """Paths and epipoles of the four starts: both epipoles towards the target come to zero."""
-    jobs = [_ideal(bench, start, "smooth") for start, _ in TABLE_2_1]
-    summaries = bench.run(jobs)
-    plot_runs(bench.out, [job.out for job in jobs], "paths and epipoles")
-    bound = _named(X_RESOLUTION_CM, 5.0, 0.1)
-    return [
-        at_most(_case(start), bound, _errors(s))
-        for (start, _), s in zip(TABLE_2_1, summaries, strict=True)
+    """Paths, epipoles and image motion of the four starts, by both laws."""
+    starts = [start for start, _ in TABLE_2_1]
+    ours, source = (
+        {start_name(s): _ideal(bench, s, law) for s in starts} for law in (SMOOTH, SOURCE)
+    )
+    summaries = bench.run([*ours.values(), *source.values()])
+    plot_runs(bench.out, _both(ours, source), "epipolar control from four starts")
+    plot_motion(bench.out, _both(ours, source), "motion of the features in the image")
+    bound = named(X_RESOLUTION_CM, 5.0, 0.1)
+    judged = [
+        at_most(f"{case} {SMOOTH}", bound, errors(s))
+        for case, s in zip(ours, summaries, strict=False)
     ]
+    shown = [_shown(start, s) for start, s in zip(starts, summaries[len(starts) :], strict=True)]
+    return [*judged, *shown]
 
 
 def figure_2_6(bench: Bench) -> list[Row]:
     """Through the singularity with and without the sliding mode, and by the smooth law."""
-    start = (-5.0, -13.0, 0.0)
-    plain = _ideal(bench, start, "unprotected", "controller.sliding=false")
-    jobs = [_ideal(bench, start, "smooth"), _ideal(bench, start, "source"), plain]
-    bench.run(jobs)
-    plot_runs(bench.out, [job.out for job in jobs], "smooth, sliding mode, unprotected")
-    smooth, sliding, unprotected = (peak_speed(job.out) for job in jobs)
-    exploded = {"v_peak_m_s": unprotected}
+    start = TABLE_2_1[2][0]
+    runs = {
+        SMOOTH: _ideal(bench, start, SMOOTH),
+        SOURCE: _ideal(bench, start, SOURCE),
+        "without sliding mode": _ideal(bench, start, SOURCE, "controller.sliding=false"),
+    }
+    summaries = bench.run(list(runs.values()))
+    plot_runs(bench.out, _recorded(runs), "through the singularity")
+    smooth, sliding, plain = (
+        _peaks(job.out) | errors(s) for job, s in zip(runs.values(), summaries, strict=True)
+    )
+    speed = _speed(sliding)
+    exploded = {"v_peak_m_s": EXPLOSION * sliding["v_peak_m_s"]}
     return [
-        at_most("smooth law", {"v_peak_m_s": sliding}, {"v_peak_m_s": smooth}),
-        Row("without sliding mode", {}, exploded, unprotected > 10.0 * sliding),
+        Row(SMOOTH, {}, smooth, True),
+        Row(SOURCE, {}, sliding, True),
+        Row("without sliding mode", {}, plain, True),
+        at_most(f"{SMOOTH}: no faster than the source's", speed, _speed(smooth)),
+        at_least("without sliding mode: explodes, at least", exploded, _speed(plain)),
     ]
 
 
 def figure_2_8(bench: Bench) -> list[Row]:
     """One start with each omnidirectional camera, the last on the singularity."""
-    jobs = [_ideal(bench, s, "smooth", camera=c, duration=60.0) for s, c in OMNIDIRECTIONAL]
-    summaries = bench.run(jobs)
-    plot_runs(bench.out, [job.out for job in jobs], "omnidirectional cameras")
-    return [
-        at_most(f"{_case(start)} {camera}", _named(1.0, 1.0, 0.5), _errors(s))
-        for (start, camera), s in zip(OMNIDIRECTIONAL, summaries, strict=True)
+    ours, source = (
+        {
+            f"{start_name(s)} {camera}": _ideal(bench, s, law, camera=camera, duration=60.0)
+            for s, camera in OMNIDIRECTIONAL
+        }
+        for law in (SMOOTH, SOURCE)
+    )
+    noisy = [
+        _noisy(start, seed, 60.0, SMOOTH, camera=camera)
+        for start, camera in OMNIDIRECTIONAL
+        for seed in FEW_SEEDS
     ]
+    summaries = bench.run([*ours.values(), *source.values(), *noisy])
+    plot_runs(bench.out, _both(ours, source), "omnidirectional cameras")
+    plot_motion(bench.out, _recorded(ours), "motion of the features in the image")
+    rows = [
+        at_most(f"{case} {SMOOTH}", named(1.0, 1.0, 0.5), errors(s))
+        for case, s in zip(ours, summaries, strict=False)
+    ]
+    for case, summary in zip(source, summaries[len(ours) :], strict=False):
+        rows.append(Row(f"{case} {SOURCE}", {}, errors(summary), True))
+    ends = [errors(summary) for summary in summaries[2 * len(ours) :]]
+    for index, case in enumerate(ours):
+        median = _median(ends[index * len(FEW_SEEDS) :][: len(FEW_SEEDS)])
+        title = f"{case} {SMOOTH}, 0.5 px noise, median of {len(FEW_SEEDS)}"
+        rows.append(at_most(title, named(1.0, 1.0, 0.5), median))
+    return rows
 
 
 def figure_2_11(bench: Bench) -> list[Row]:
     """Assume 6 mm for focal lengths of 2…10 mm, and centres off by up to 20 px."""
-    start = (2.0, -7.0, 30.0)
-    focal = {f"f = {f} mm": f"camera_error.focal_scale={f / 6}" for f in range(2, 11)}
-    centre = {f"x0 {x:+d} px": f"camera_error.cx_px={x}" for x in (-20, -10, 10, 20)}
-    cases = {**focal, **centre}
-    jobs = [_ideal(bench, start, "smooth", setting) for setting in cases.values()]
-    summaries = bench.run(jobs)
-    return [
-        at_most(case, _named(10.0, 10.0, 0.5), _errors(s))
-        for case, s in zip(cases, summaries, strict=True)
+    focal = {float(f): f"camera_error.focal_scale={f / 6}" for f in range(2, 11)}
+    centre = {float(x): f"camera_error.cx_px={x}" for x in (-20, -10, 0, 10, 20)}
+    sweeps = {"focal length (mm)": focal, "image centre off by (px)": centre}
+    cases = [
+        (law, parameter, value, _ideal(bench, WRONG_START, law, setting))
+        for law in (SMOOTH, SOURCE)
+        for parameter, settings in sweeps.items()
+        for value, setting in settings.items()
     ]
+    summaries = bench.run([job for *_, job in cases])
+    ends: dict[str, dict[str, dict[float, dict[str, float]]]] = {name: {} for name in sweeps}
+    rows = []
+    for (law, parameter, value, _), summary in zip(cases, summaries, strict=True):
+        found = errors(summary)
+        ends[parameter].setdefault(law, {})[value] = found
+        case = f"{parameter} {value:g} {law}"
+        bound = named(10.0, 10.0, 0.5)
+        rows.append(at_most(case, bound, found) if law == SMOOTH else Row(case, {}, found, True))
+    plot_sweeps(bench.out, ends, f"final errors from {start_name(WRONG_START)}")
+    shown = {f"{p} {v:g} {law}": job for law, p, v, job in cases if v in (2.0, 10.0)}
+    plot_runs(bench.out, _recorded(shown), "wrong focal lengths and image centres")
+    return rows
 
 
 def figure_2_12(bench: Bench) -> list[Row]:
     """Half a pixel of noise from a far start: the median over fresh seeds."""
-    start = (-6.0, -16.0, -10.0)
-    summaries = bench.run([_noisy(start, seed, 40.0) for seed in SEEDS])
-    errors = np.abs([list(_errors(s).values()) for s in summaries])
-    return [at_most(_case(start), _named(5.0, 5.0, 1.0), _named(*np.median(errors, axis=0)))]
+    first = {law: bench.out / folder_name(law) for law in (SMOOTH, SOURCE)}
+    jobs = [
+        _noisy(NOISY_START, seed, 40.0, law, first[law] if seed == SEEDS[0] else None)
+        for law in (SMOOTH, SOURCE)
+        for seed in SEEDS
+    ]
+    found = [errors(summary) for summary in bench.run(jobs)]
+    plot_runs(bench.out, first, "0.5 px noise")
+    plot_motion(bench.out, first, "motion of the features in the image, 0.5 px noise")
+    ours, source = (_median(found[i : i + len(SEEDS)]) for i in (0, len(SEEDS)))
+    case = start_name(NOISY_START)
+    return [
+        at_most(f"{case} {SMOOTH}, median", named(5.0, 5.0, 1.0), ours),
+        Row(f"{case} {SOURCE}, median", {}, source, True),
+    ]
 
 
 def figure_2_13(bench: Bench) -> list[Row]:
     """Drive the dynamic model of a Pioneer: physics, rendered images, the robot's limits."""
-    return _simulated(bench, (-1.0, -2.0, 0.0), {"perspective": 5.0, "hypercatadioptric": 2.0})
+    return _simulated(bench, (-1.0, -2.0, 0.0))
 
 
 def robot_2_15(bench: Bench) -> list[Row]:
     """Repeat the robot experiment on the simulator."""
-    return _simulated(bench, (-0.3, -1.3, 0.0), {"perspective": 5.0, "hypercatadioptric": 2.0})
+    return _simulated(bench, (-0.3, -1.3, 0.0))
 
 
 def chatter(directory: Path | None) -> float:
     """Return the total variation of ω (rad/s) over the last quarter of a recorded run."""
-    omega = _column(directory, "omega_sent")
+    omega = column(directory, "omega_sent")
     return float(np.abs(np.diff(omega[3 * len(omega) // 4 :])).sum())
 
 
-def peak_speed(directory: Path | None) -> float:
-    """Return the largest |v| (m/s) of a recorded run."""
-    return float(np.nanmax(np.abs(_column(directory, "v_sent"))))
+def _peaks(directory: Path | None) -> dict[str, float]:
+    v, omega = (column(directory, name) for name in ("v_sent", "omega_sent"))
+    return {
+        "v_peak_m_s": float(np.abs(v).max()),
+        "omega_peak_rad_s": float(np.abs(omega).max()),
+    }
 
 
-def _simulated(bench: Bench, start: Start, bounds_cm: Mapping[str, float]) -> list[Row]:
-    jobs = [
-        Job(
-            "default",
-            (*_SIM, f"camera.name={camera}", *_at(start)),
-            bench.out / f"{_case(start)}_{camera}".replace(" ", "_"),
-        )
-        for camera in bounds_cm
-    ]
-    summaries = bench.run(jobs)
-    plot_runs(bench.out, [job.out for job in jobs], "simulated robot")
+def _speed(found: Mapping[str, float]) -> dict[str, float]:
+    return {"v_peak_m_s": found["v_peak_m_s"]}
+
+
+def _simulated(bench: Bench, start: Start) -> list[Row]:
+    """Run the smooth law with every camera, and the source's with the perspective one."""
+    where = ("backend=sim", "scheme=epipolar", *start_at(start))
+    runs = {
+        camera: Job("default", (*where, f"camera.name={camera}"), bench.out / camera, True)
+        for camera in SIMULATED_CM
+    }
+    duration = 60.0
+    settings = (*where, "camera.name=perspective", f"duration_s={duration + 5.0}")
+    source = (*settings, *_source_law(duration), "controller.distance_23_m=5")
+    runs[f"perspective {SOURCE}"] = Job("default", source, bench.out / "source", True)
+    summaries = dict(zip(runs, bench.run(list(runs.values())), strict=True))
+    plot_runs(bench.out, _recorded(runs), f"simulated robot from {start_name(start)}")
+    plot_motion(bench.out, _recorded(runs), "motion of the features in the image")
     rows = []
-    for (camera, bound), summary in zip(bounds_cm.items(), summaries, strict=True):
-        x, y, phi = _errors(summary).values()
-        ours = {"position_cm": math.hypot(x, y), "phi_deg": phi}
-        published = {"position_cm": bound, "phi_deg": 1.0}
-        rows.append(at_most(f"{_case(start)} {camera}", published, ours))
+    for case, summary in summaries.items():
+        found, title = distances(summary), f"{start_name(start)} {case}"
+        bound = {"position_cm": SIMULATED_CM.get(case, 0.0), "phi_deg": SIMULATED_DEG}
+        judged = case in SIMULATED_CM
+        rows.append(at_most(title, bound, found) if judged else Row(title, {}, found, True))
     return rows
 
 
@@ -184,49 +283,61 @@ def _ideal(
     duration: float = 20.0,
 ) -> Job:
     """Return a recorded run of an ideal robot without noise."""
-    slug = "_".join([law, _case(start), camera, *settings])
-    name = "".join(c if c.isalnum() or c in "+-." else "_" for c in slug)
-    return Job("default", (*_law(law, duration, camera, start), *settings), bench.out / name)
+    name = folder_name(law, start_name(start), camera, *settings)
+    used = (*_law(law, duration, camera, start), *settings)
+    return Job("default", used, bench.out / name, image_motion=True)
 
 
-def _noisy(start: Start, seed: int, duration: float) -> Job:
-    settings = _law("smooth", duration, "perspective", start)
-    return Job("default", (*settings, "mock.noise_px=0.5", f"seed={seed}"))
+def _noisy(
+    start: Start,
+    seed: int,
+    duration: float,
+    law: str,
+    out: Path | None = None,
+    camera: str = "perspective",
+) -> Job:
+    settings = _law(law, duration, camera, start)
+    used = (*settings, "mock.noise_px=0.5", f"seed={seed}")
+    return Job("default", used, out, image_motion=out is not None)
 
 
 def _law(law: str, duration: float, camera: str, start: Start) -> tuple[str, ...]:
-    settings = (*_IDEAL, f"camera.name={camera}", *_at(start), f"duration_s={1.7 * duration}")
-    timed = f"controller.duration_s={duration}"
-    if law == "smooth":
-        return (*settings, "controller.name=epipolar-smooth", timed)
-    stored = f"estimator.aligned_after_s={0.8 * duration}"
-    return (*settings, "controller.name=epipolar-smc", timed, stored)
+    settings = ("backend=mock", "scheme=epipolar", "mock.ideal=true", f"camera.name={camera}")
+    whole = (*settings, *start_at(start), f"duration_s={1.7 * duration}")
+    if law == SMOOTH:
+        return (*whole, "controller.name=epipolar-smooth", f"controller.duration_s={duration}")
+    return (*whole, *_source_law(duration))
 
 
-def _at(start: Start) -> tuple[str, ...]:
-    keys = ("x_m", "y_m", "phi_deg")
-    return tuple(f"start.{key}={value}" for key, value in zip(keys, start, strict=True))
+def _source_law(duration: float) -> tuple[str, ...]:
+    return (
+        "controller.name=epipolar-smc",
+        f"controller.duration_s={duration}",
+        f"estimator.aligned_after_s={0.8 * duration}",
+    )
 
 
-def _case(start: Start) -> str:
-    return " ".join(f"{value:g}" for value in start)
+def _shown(start: Start, summary: Summary) -> Row:
+    """Return a row of the source's law, which is not judged."""
+    return Row(f"{start_name(start)} {SOURCE}", {}, errors(summary), True)
 
 
-def _named(x_cm: float, y_cm: float, phi_deg: float) -> dict[str, float]:
-    return {"x_cm": float(x_cm), "y_cm": float(y_cm), "phi_deg": float(phi_deg)}
+def _spread(group: Sequence[Mapping[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
+    values = np.array([list(one.values()) for one in group])
+    return named(*values.mean(axis=0)), named(*values.std(axis=0, ddof=1))
 
 
-def _errors(summary: Summary) -> dict[str, float]:
-    error = summary["final_error"]
-    if error is None:
-        return _named(math.inf, math.inf, math.inf)
-    return _named(100.0 * error["x_m"], 100.0 * error["y_m"], error["phi_deg"])
+def _median(group: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    return named(*np.median(np.abs([list(one.values()) for one in group]), axis=0))
 
 
-def _column(directory: Path | None, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    from visctrl.report.ticks import read_ticks
+def _recorded(runs: Mapping[str, Job]) -> dict[str, Path | None]:
+    return {case: job.out for case, job in runs.items()}
 
-    if directory is None:
-        raise ValueError("the run was not recorded")
-    numbers = read_ticks(directory / "ticks.csv").numbers[name]
-    return np.asarray(numbers, dtype=np.float64)
+
+def _both(ours: Mapping[str, Job], source: Mapping[str, Job]) -> dict[str, Path | None]:
+    return {
+        f"{case}, {law}": job.out
+        for law, jobs in ((SMOOTH, ours), (SOURCE, source))
+        for case, job in jobs.items()
+    }

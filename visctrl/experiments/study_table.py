@@ -18,10 +18,8 @@ TABLE, PARQUET = "table.csv", "table.parquet"
 ERRORS = {"x_cm": ("x_m", 100.0), "y_cm": ("y_m", 100.0), "phi_deg": ("phi_deg", 1.0)}
 #: A pose filter's account of itself: the mean per degree of freedom, the share inside its bounds.
 _JUDGED, _KEPT = ("nees", "nis"), ("mean", "inside")
-_NUMBERS = (
-    *("distance_cm", *ERRORS, "path_m", "time_s", "ticks", "features_min"),
-    *(f"{name}_{key}" for name in _JUDGED for key in _KEPT),
-)
+_IF_KNOWN = tuple(f"{name}_{key}" for name in _JUDGED for key in _KEPT)
+_NUMBERS = ("distance_cm", *ERRORS, "path_m", "time_s", "ticks", "features_min", *_IF_KNOWN)
 #: Further statuses, beside those of a run: its scene cannot be set up; its process died.
 REFUSED, DIED = "refused", "died"
 
@@ -57,10 +55,12 @@ def write_table(rows: Sequence[Row], folder: Path) -> list[Path]:
     list of Path
         The files written.
     """
-    cells = [{key: _cell(value) for key, value in row.items()} for row in rows]
+    known = {key for row in rows for key, value in row.items() if value is not None}
+    kept = [key for key in (rows[0] if rows else ()) if key in known or key not in _IF_KNOWN]
+    cells = [{key: _cell(row[key]) for key in kept} for row in rows]
     path = folder / TABLE
     with _replacing(path) as fresh, fresh.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(cells[0]) if cells else [], lineterminator="\n")
+        writer = csv.DictWriter(file, kept, lineterminator="\n")
         writer.writeheader()
         writer.writerows(cells)
     try:
@@ -70,7 +70,8 @@ def write_table(rows: Sequence[Row], folder: Path) -> list[Path]:
         return [path]
     parquet = folder / PARQUET
     with _replacing(parquet) as fresh:
-        pandas.DataFrame(cells).to_parquet(fresh, index=False)
+        columns = {key: _of_one_type([row[key] for row in cells]) for key in kept}
+        pandas.DataFrame(columns).to_parquet(fresh, index=False)
     return [path, parquet]
 
 
@@ -88,6 +89,14 @@ def _replacing(path: Path) -> Iterator[Path]:
         os.replace(fresh, path)
     finally:
         fresh.unlink(missing_ok=True)
+
+
+def _of_one_type(column: list[Any]) -> list[Any]:
+    """Return a column as Parquet takes it: words and numbers do not mix."""
+    kinds = {isinstance(value, str) for value in column if value is not None}
+    if len(kinds) < 2:
+        return column
+    return [None if value is None else str(value) for value in column]
 
 
 def _cell(value: Any) -> Any:

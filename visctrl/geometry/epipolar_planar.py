@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrap_angle
-from visctrl.geometry.planar import PlanarMotion, meeting
+from visctrl.geometry.epipolar_points import PointPair
+from visctrl.geometry.parallax import meeting
+from visctrl.geometry.planar import PlanarMotion
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -38,6 +40,13 @@ _MAX_SD = 0.5
 _NEAREST = 10.0
 #: Noise of a row, in multiples of the usual one, beyond which it says nothing.
 _MAX_NOISE = 10.0
+#: Parallax, in a coordinate's noise, that shows that the view has moved.
+_MOVED_SIGMAS = 8.0
+#: Why a motion is not determined although the views differ.
+ONE_PLANE = (
+    "all features lie in one plane, and two motions explain them: let the camera see things at "
+    "different distances"
+)
 #: Hypotheses that are refined before the best is chosen.
 _FINALISTS = 4
 #: Newton steps on the best of them, at most, and those that allow for a poor start.
@@ -51,21 +60,6 @@ _FAR_OFF = 2.0
 
 _DIAGONAL = np.arange(4)
 _DAMPING = 1e-9 * np.eye(4)
-
-
-def _quadratic_form() -> Array:
-    """Return the Q of `_Pair` (4, 4, 5) by the spans that its elements are made of."""
-    Q = np.zeros((4, 4, 5))
-    Q[0, 0, 0] = Q[1, 1, 2] = Q[2, 2, 3] = Q[3, 3, 2] = 1.0
-    Q[0, 1, 1] = Q[1, 0, 1] = Q[2, 3, 4] = Q[3, 2, 4] = -1.0
-    return Q
-
-
-#: Q m, flat, from m.
-_SPREAD = _quadratic_form().reshape(4, 20)
-#: mᵀ Q m from the products of m's elements that it contains.
-_FIRST, _SECOND = np.nonzero(_quadratic_form().any(axis=-1))
-_SUMMED = _quadratic_form()[_FIRST, _SECOND]
 
 
 @dataclass(frozen=True)
@@ -116,57 +110,10 @@ def sampson_residuals(
 
     To first order a residual has the standard deviation of one image coordinate.
     """
-    pair = _Pair.of(np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64))
+    pair = PointPair.of(
+        np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
+    )
     return pair.residuals(np.asarray(m, dtype=np.float64))
-
-
-class _Pair:
-    """Points of two views, and the products of their coordinates that everything is made of.
-
-    Noise of the points gives a row of the constraint times m the variance mᵀ Q m σ² with
-    Q = [A, −x_a; −x_a, 1] ⊕ [B, −x_b; −x_b, 1], A = x_a² + y_b², B = x_b² + y_a².
-
-    rows : (4, N), the constraint's coefficients of m.
-    spans : (5, N), A, x_a, 1, B and x_b.
-    """
-
-    def __init__(self, a: Array, b: Array, rows: Array, spans: Array) -> None:
-        self.a, self.b = a, b
-        self.rows, self.spans = rows, spans
-
-    @classmethod
-    def of(cls, a: Array, b: Array) -> _Pair:
-        xa, ya, xb, yb = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
-        rows = np.stack([yb * xa, -yb, -ya * xb, ya])
-        spans = np.stack([xa * xa + yb * yb, xa, np.ones(len(a)), xb * xb + ya * ya, xb])
-        return cls(a, b, rows, spans)
-
-    def __len__(self) -> int:
-        return len(self.a)
-
-    def at(self, inside: Mask) -> _Pair:
-        """Return some of the features."""
-        if inside.all():
-            return self
-        return _Pair(self.a[inside], self.b[inside], self.rows[:, inside], self.spans[:, inside])
-
-    def noise(self, m: Array) -> Array:
-        """Return the variance (H, N) of the rows times m (H, 4), in σ²."""
-        products = (m[:, _FIRST] * m[:, _SECOND]) @ _SUMMED
-        return np.asarray(np.maximum(products @ self.spans, 1e-18))
-
-    def squared(self, m: Array) -> Array:
-        """Return squared Sampson residuals (H, N) for hypotheses m (H, 4)."""
-        return np.asarray((m @ self.rows) ** 2 / self.noise(m))
-
-    def residuals(self, m: Array) -> tuple[Array, Array]:
-        """Return Sampson residuals (..., N) for m (..., 4), and their derivatives (..., 4, N)."""
-        spread = (m @ _SPREAD).reshape(*m.shape, 5) @ self.spans
-        variance = np.maximum((m[..., None, :] @ spread)[..., 0, :], 1e-18)
-        scale = 1.0 / np.sqrt(variance)
-        error = m @ self.rows
-        jacobian = self.rows - (error / variance)[..., None, :] * spread
-        return error * scale, jacobian * scale[..., None, :]
 
 
 def ransac_planar_epipoles(
@@ -196,7 +143,7 @@ def ransac_planar_epipoles(
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
     if len(a) < MINIMUM_FEATURES:
         return _lost(len(a), f"too few features: {len(a)}, {MINIMUM_FEATURES} are needed")
-    pair = _Pair.of(a, b)
+    pair = PointPair.of(a, b)
     m = null_vectors(pair.rows.T[_samples(len(a), hypotheses, seed)])
     limit2 = (threshold_sigmas * sigma) ** 2
     cost = np.minimum(pair.squared(m), limit2).sum(axis=-1)
@@ -228,7 +175,7 @@ def refine_planar_epipoles(
     limit2 = (threshold_sigmas * sigma) ** 2
     if len(a) < MINIMUM_FEATURES:
         return _lost(len(a), f"too few features: {len(a)}, {MINIMUM_FEATURES} are needed")
-    pair = _Pair.of(a, b)
+    pair = PointPair.of(a, b)
     forward, plausible = _directed(pair, m, sigma)
     return _settle(pair, forward, plausible, sigma, limit2)
 
@@ -245,7 +192,7 @@ def turned(m: ArrayLike, turn_a: float = 0.0, turn_b: float = 0.0) -> Array:
 
 
 def _settle(
-    pair: _Pair, start: Array, plausible: Mask, sigma: float, limit2: float
+    pair: PointPair, start: Array, plausible: Mask, sigma: float, limit2: float
 ) -> PlanarEpipoles:
     """Refine a start on the ``plausible`` features and judge the result."""
     m = _descend(pair, start[None], plausible, sigma, limit2)
@@ -269,7 +216,7 @@ def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
 
 
 def _descend(
-    pair: _Pair, m: Array, usable: Mask, sigma: float, limit2: float, steps: int = _STEPS
+    pair: PointPair, m: Array, usable: Mask, sigma: float, limit2: float, steps: int = _STEPS
 ) -> Array:
     """Return the m (H, 4) after soft-L1 Newton steps on the ``usable`` features.
 
@@ -306,7 +253,7 @@ def _weights(scaled: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2))
 
 
-def _finish(pair: _Pair, m: Array, inliers: Mask, sigma: float) -> PlanarEpipoles:
+def _finish(pair: PointPair, m: Array, inliers: Mask, sigma: float) -> PlanarEpipoles:
     residual, jacobian = pair.residuals(m)
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
     spread = max(1.0, 1.4826 * _median(np.abs(residual)) / sigma)
@@ -323,14 +270,23 @@ def _bearings(m: Array) -> tuple[float, float]:
     return float(np.arctan2(m[1], m[0])), float(np.arctan2(m[3], m[2]))
 
 
-def _directed(pair: _Pair, m: Array, sigma: float) -> tuple[Array, Mask]:
+def _usual_parallax(pair: PointPair, m: Array) -> float:
+    return _median(np.abs(_parallax(pair, m)))
+
+
+def _parallax(pair: PointPair, m: Array) -> Array:
+    """Return the sines (N,) of the angles at the points, negative for those behind the views."""
+    return meeting(_in_baseline_axes(pair.a, m[0], m[1]), _in_baseline_axes(pair.b, m[2], m[3]))
+
+
+def _directed(pair: PointPair, m: Array, sigma: float) -> tuple[Array, Mask]:
     """Return m or −m, whichever puts the points in front of the views, and who agrees.
 
     A feature agrees when its parallax is one that a point of the scene can have. An outlier that
     happens to lie near its epipolar plane passes the residual test, and with a short baseline
     its huge parallax would outweigh all others.
     """
-    parallax = meeting(_in_baseline_axes(pair.a, m[0], m[1]), _in_baseline_axes(pair.b, m[2], m[3]))
+    parallax = _parallax(pair, m)
     # Far points vote with less weight, gross errors with no more than a good point.
     sense = 1.0 if float(np.tanh(parallax / (3.0 * sigma)).sum()) >= 0.0 else -1.0
     forward = parallax * sense
@@ -341,7 +297,7 @@ def _directed(pair: _Pair, m: Array, sigma: float) -> tuple[Array, Mask]:
 
 
 def _covariance(
-    pair: _Pair, m: Array, jacobian: Array, weights: Array, sigma: float
+    pair: PointPair, m: Array, jacobian: Array, weights: Array, sigma: float
 ) -> tuple[Array, str]:
     """Return the covariance (2, 2) of (phi, direction) and the name of the degeneracy, if any.
 
@@ -368,6 +324,8 @@ def _covariance(
     covariance = G @ cov_m @ G.T
     if not determined[1]:
         return covariance, "features clustered: they do not separate turning from moving"
+    if not determined[0] and _usual_parallax(pair, m) > _MOVED_SIGMAS * sigma:
+        return covariance, ONE_PLANE
     if not determined[0] or max(covariance[1, 1], by_bearing_b @ cov_m @ by_bearing_b) > _MAX_SD**2:
         return covariance, "short baseline: the direction of the epipoles is not determined"
     return covariance, ""

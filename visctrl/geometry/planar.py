@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrap_angle
+from visctrl.geometry.parallax import signed_parallax
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -33,10 +34,13 @@ _KERNEL_SIGMAS = 1.5
 _BASELINE_SIGNIFICANCE = 5.0
 #: A feature's parallax is at most this many times the usual one.
 _NEAREST = 10.0
-#: Noise of the θ column (in σ²) beyond which a feature says nothing about the direction.
-_MAX_NOISE = 4.0
+#: Noise of the θ column (in σ²) up to which a feature always says something about the direction,
+#: and the multiple of the usual noise up to which it does where all have more.
+_MAX_NOISE, _USUAL_NOISE = 4.0, 10.0
 #: Standard deviations (rad) beyond which a motion counts as undetermined.
 _MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
+#: A step shorter than this part of a ray's noise ends a descent.
+_STILL = 1e-3
 #: Variance of a direction of which nothing is known (uniform on the circle).
 _UNKNOWN_DIRECTION = np.pi**2 / 3.0
 
@@ -143,9 +147,9 @@ def ransac_planar_motion(
     first = rng.integers(0, len(a), hypotheses)
     second = (first + rng.integers(1, len(a), hypotheses)) % len(a)
     sample = np.stack([first, second], axis=-1)
-    theta, alpha = _two_point(a[sample], b[sample])
+    theta, alpha = two_point_motions(a[sample], b[sample])
     limit = threshold_sigmas * sigma
-    squared = _squared_residuals(a, b, theta, alpha)
+    squared = squared_residuals(a, b, theta, alpha)
     best = int(np.argmin(np.minimum(squared, limit**2).sum(axis=1)))
     phi, direction = float(alpha[best] - theta[best]), float(theta[best])
     direction = _towards_points(a, b, phi, direction, sigma)
@@ -204,7 +208,7 @@ def refine_planar_motion(
     )
 
 
-def _two_point(a: Array, b: Array) -> tuple[Array, Array]:
+def two_point_motions(a: Array, b: Array) -> tuple[Array, Array]:
     """Return (θ, α) (2H,) of the motions through samples (H, 2, 3).
 
     With m = (cos θ, sin θ), n = (cos α, sin α) the constraints read P m + Q n = 0, so that
@@ -231,7 +235,7 @@ def _two_point(a: Array, b: Array) -> tuple[Array, Array]:
     return theta, alpha
 
 
-def _squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
+def squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
     """Return squared Sampson residuals (H, N) of H motions for N features."""
     A = np.outer(np.cos(theta), a[:, 0]) - np.outer(np.sin(theta), a[:, 1])
     B = np.outer(np.sin(alpha), b[:, 1]) - np.outer(np.cos(alpha), b[:, 0])
@@ -272,23 +276,38 @@ def _descend(
     linear = _linearise(a, b, phi, direction)
     cost, damping = _soft_l1_cost(linear.residual / sigma), 1e-3
     for _ in range(iterations):
-        weighted = _soft_l1_weights(linear.residual / sigma)[:, None] * linear.jacobian
-        H, gradient = weighted.T @ linear.jacobian, weighted.T @ linear.residual
-        H = H + damping * np.diag(np.diag(H)) + 1e-12 * np.eye(2)
-        step = -np.linalg.solve(H, gradient)
+        step_phi, step_direction = _step(linear, sigma, damping)
+        longest = max(abs(step_phi), abs(step_direction))
         # A direction without information must not jump round the circle.
-        step *= min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12))
-        trial = _linearise(a, b, phi + step[0], direction + step[1])
+        shorter = min(1.0, 0.5 / max(longest, 1e-12))
+        ahead = phi + shorter * step_phi, direction + shorter * step_direction
+        trial = _linearise(a, b, *ahead)
         trial_cost = _soft_l1_cost(trial.residual / sigma)
         if trial_cost > cost:
+            if longest < _STILL * sigma:
+                break
             damping = max(damping, 1e-6) * 10.0
             continue
-        phi, direction = phi + float(step[0]), direction + float(step[1])
-        linear, gain, cost = trial, cost - trial_cost, trial_cost
+        (phi, direction), linear, cost = ahead, trial, trial_cost
         damping *= 0.1
-        if float(np.abs(step).max()) < 1e-10 or gain < 1e-12 * cost:
+        if longest < _STILL * sigma:
             break
     return phi, direction
+
+
+def _step(linear: _Linearised, sigma: float, damping: float) -> tuple[float, float]:
+    """Return the damped Newton step of (φ, θ)."""
+    weights = _soft_l1_weights(linear.residual / sigma)
+    # The kernel's own curvature is w³; far out that would overshoot.
+    curvature = weights * np.maximum(weights * weights, 0.5)
+    J = linear.jacobian
+    H = (J * curvature[:, None]).T @ J
+    g = (weights * linear.residual) @ J
+    pp, tt = float(H[0, 0]) * (1.0 + damping) + 1e-12, float(H[1, 1]) * (1.0 + damping) + 1e-12
+    pt = float(H[0, 1])
+    # Damped on its diagonal, H is positive definite.
+    det = pp * tt - pt * pt
+    return (pt * float(g[1]) - tt * float(g[0])) / det, (pt * float(g[0]) - pp * float(g[1])) / det
 
 
 def _covariance(
@@ -319,47 +338,19 @@ def _direction_information(
 
     With a short baseline the noise itself makes the θ column non-zero; its share is taken out
     of the information, or the direction would look known when it is not. Rays along the
-    baseline and level with the camera have a column of mostly noise: they may add information,
-    but do not take part in the test.
+    baseline and level with the camera have a column of mostly noise, for a perspective camera
+    that drives ahead nearly all of them: each counts in the test by how little of it is.
     """
 
     def debiased(w: Array) -> tuple[float, float]:
         signal = float(np.sum(w * (linear.jacobian[:, 1] ** 2 / variance - linear.noise)))
         return signal, np.sqrt(2.0 * float(np.sum((w * linear.noise) ** 2)))
 
-    sure, doubt = debiased(np.where(linear.noise < _MAX_NOISE, weights, 0.0))
+    shown, doubt = debiased(weights / (1.0 + linear.noise))
+    loud = max(_MAX_NOISE, _USUAL_NOISE * float(np.median(linear.noise)))
+    sure, _ = debiased(np.where(linear.noise < loud, weights, 0.0))
     everything, doubt_everything = debiased(weights)
-    return sure / max(doubt, 1e-12), max(sure, everything - 2.0 * doubt_everything)
-
-
-def signed_parallax(rays_a: ArrayLike, rays_b: ArrayLike, phi: float, direction: float) -> Array:
-    """Return the sine (N,) of the angle between the rays of each feature, the turn removed.
-
-    Positive where the rays meet in front of both views, negative where they meet behind.
-    """
-    a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
-    return meeting(_along_baseline(a, direction), _along_baseline(b, direction + phi))
-
-
-def meeting(a: Array, b: Array) -> Array:
-    """Return |a × b| (N,) of vectors (3, N), negative where the lines along them meet behind.
-
-    The vectors' components are (along, across, up) the baseline; those that meet behind do so
-    against their own sense, seen from b's centre a step along the baseline from a's.
-    """
-    across = a[2] * b[0] - a[0] * b[2]
-    up = a[0] * b[1] - a[1] * b[0]
-    along = a[1] * b[2] - a[2] * b[1]
-    # λ_a a − λ_b b = baseline: the sum of both depths is this over |a × b|².
-    depths = up * (a[1] + b[1]) - across * (a[2] + b[2])
-    return np.asarray(np.copysign(np.sqrt(along**2 + across**2 + up**2), depths))
-
-
-def _along_baseline(rays: Array, bearing: float) -> Array:
-    """Return rays (N, 3) as components (3, N) along, across (to the right) and above a bearing."""
-    s, c = np.sin(bearing), np.cos(bearing)
-    right, forward, up = rays.T
-    return np.stack([s * right + c * forward, c * right - s * forward, up])
+    return shown / max(doubt, 1e-12), max(sure, everything - 2.0 * doubt_everything)
 
 
 def _towards_points(a: Array, b: Array, phi: float, direction: float, sigma: float) -> float:

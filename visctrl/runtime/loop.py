@@ -30,7 +30,7 @@ from visctrl.runtime.consistency import Consistency
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
-from visctrl.runtime.scheduler import Tick, Ticker
+from visctrl.runtime.scheduler import Tick, Ticker, prompt_threads
 from visctrl.runtime.stop import StopRequest
 from visctrl.runtime.watchdog import Watchdog
 
@@ -145,10 +145,12 @@ class Loop:
         if self._backend.clock.lockstep:
             return self._run(stage)
         self._watchdog = Watchdog(self._backend.base.stop, self._guard.max_command_age)
-        with self._watchdog, self._stop.acting_at_once(self._watchdog.act):
+        at_once = self._stop.acting_at_once(self._watchdog.act)
+        with self._watchdog, at_once, prompt_threads():
             return self._run(stage)
 
     def _run(self, stage: Stage) -> bool:
+        self._consistency.prepare(stage.estimator)
         ticker = Ticker(self._backend.clock, self._period)
         self._guard.begin(ticker.origin)
         turn = _Turn(stage)

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from hal.camera_files import read_camera
 from hal.central_camera import CentralCamera, load_camera
 from hal.interfaces import Backend
 from robots import Limits, Robot, load_robot
-from robots.documents import Document, load, validate
+from robots.documents import Document, validate
 from robots.errors import InputError
 from robots.model import Mount
 from visctrl.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
@@ -284,7 +285,7 @@ def chosen_camera(choice: CameraChoice) -> CentralCamera:
         No such camera or file, or a size of another shape.
     """
     if choice.name.endswith((".yaml", ".yml")):
-        camera = load(Path(choice.name), CentralCamera)
+        camera = read_camera(Path(choice.name))
     else:
         camera = load_camera(choice.name)
     if choice.width is None and choice.height is None:

@@ -165,6 +165,7 @@ class Registries:
             Controller,
             {
                 "trifocal-smc": "visctrl.control.trifocal_smc:TrifocalSmc",
+                "trifocal-smooth": "visctrl.control.trifocal_smooth:TrifocalSmooth",
                 "trifocal2d": "visctrl.control.trifocal2d:Trifocal2d",
                 "face-target": "visctrl.control.face_target:FaceTarget",
                 "epipolar-smc": "visctrl.control.epipolar_smc:EpipolarSmc",

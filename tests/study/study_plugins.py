@@ -1,0 +1,26 @@
+"""A controller that kills its own process, for tests of what becomes of the study."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import ClassVar
+
+from robots.documents import Document
+from visctrl.plugins import Controller, Decision, Estimate
+
+
+class KillerOptions(Document):
+    """Which signal it sends, 0 for none."""
+
+    number: int = 0
+
+
+class Killer(Controller[KillerOptions, Estimate]):
+    Options: ClassVar[type[KillerOptions]] = KillerOptions
+    accepts: ClassVar[type[Estimate]] = Estimate
+
+    def update(self, estimate: Estimate, t: float) -> Decision:
+        if self.options.number:
+            os.kill(os.getpid(), signal.Signals(self.options.number))
+        return Decision(finished=True)

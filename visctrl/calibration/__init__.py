@@ -1,0 +1,1 @@
+"""Cameras from images: projection centre, and the whole central model."""
