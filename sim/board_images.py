@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 _MARGIN_PX = 4
+#: How a picture is held and photographed: tilt (rad), grey level beside it, optics, sensor.
+_MOST_TILT, _BACKGROUND, _BLUR_PX, _NOISE = 0.5, 110, 0.6, 2.0
 
 
 def draw_plane(
@@ -65,6 +67,43 @@ def draw_plane(
     image = background.copy()
     image[top:bottom, left:right] = np.rint(blocks.mean(axis=(1, 3)))
     return image
+
+
+def facing(direction: Array, roll: float, tilt: tuple[float, float]) -> Array:
+    """Return axes (right, down, away) of a plane in a direction, rolled and tilted (rad)."""
+    away = direction / np.linalg.norm(direction)
+    other = np.eye(3)[2] if abs(away[2]) < 0.9 else np.eye(3)[1]
+    right = np.cross(other, away)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(away, right), away], axis=1)
+    turn, lean = (cv2.Rodrigues(np.array(v))[0] for v in ((0.0, 0.0, roll), (*tilt, 0.0)))
+    return np.asarray(axes @ turn @ lean, dtype=np.float64)
+
+
+def hold(
+    camera: CentralCamera,
+    picture: Grey,
+    size_m: tuple[float, float],
+    place: tuple[float, float, float],
+    rng: np.random.Generator,
+    samples: int = 4,
+) -> Grey:
+    """Return a noisy image of a picture held before a camera, turned and tilted at random.
+
+    Parameters
+    ----------
+    place : (polar, azimuth, distance)
+        Of its middle: angles from and about the optical axis (rad), distance (m).
+    """
+    polar, azimuth, distance = place
+    s = np.sin(polar)
+    direction = np.array([s * np.cos(azimuth), s * np.sin(azimuth), np.cos(polar)])
+    lean = rng.uniform(-_MOST_TILT, _MOST_TILT, 2)
+    axes = facing(direction, rng.uniform(-np.pi, np.pi), (lean[0], lean[1]))
+    corner = distance * direction - axes @ np.array([size_m[0] / 2, size_m[1] / 2, 0.0])
+    background = np.full((camera.height, camera.width), _BACKGROUND, np.uint8)
+    clean = draw_plane(camera, picture, size_m, axes, corner, background, samples)
+    return photographed(clean, _BLUR_PX, _NOISE, rng)
 
 
 def photographed(image: Grey, blur_px: float, noise: float, rng: np.random.Generator) -> Grey:

@@ -8,14 +8,16 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from views import board_image, facing, ray_errors_deg, save
+from views import board_image, save
 
 from hal.camera_files import read_camera
 from hal.central_camera import CentralCamera, load_camera
 from robots.errors import InputError
+from sim.board_images import facing
 from visctrl.calibration.boards import Board, Corners
 from visctrl.calibration.camera import Sight, calibrate
 from visctrl.cli.main import main
+from visctrl.experiments.calibration import ray_errors_deg
 
 BOARD = Board("checkerboard", 8, 6, 0.05)
 CAMERAS = ("perspective", "hypercatadioptric", "paracatadioptric", "fisheye")
@@ -198,13 +200,17 @@ def test_what_cannot_be_calibrated_is_said(visctrl, tmp_path):
     code, _, err = visctrl("calibrate", "camera", blank, *size)
     assert (code, "view02.png: is 40x30" in err) == (2, True)
     code, _, err = visctrl("calibrate", "camera", "none.png", *size)
-    assert (code, "none.png: the image is missing" in err) == (2, True)
+    assert (code, "none.png: no such image or folder" in err) == (2, True)
     code, _, err = visctrl("calibrate", "camera", blank, "--size", "8-6", "--square", "0.05")
     assert (code, "expected squares across x down" in err) == (2, True)
     code, _, err = visctrl("calibrate", "camera", blank, "--size", "2x6", "--square", "0.05")
     assert (code, "4 to 40" in err) == (2, True)
     code, _, err = visctrl("calibrate", "camera", blank, *size, "--format", "ros")
     assert (code, "expected one of visctrl, kalibr, opencv" in err) == (2, True)
+    code, _, err = visctrl("calibrate", "convert", "fisheyes", "new.yaml")
+    assert (code, "did you mean 'fisheye'" in err) == (2, True)
+    code, _, err = visctrl("calibrate", "convert", "fisheye", "new.yaml", "--polar", 50, 20)
+    assert (code, "min_polar_deg must be less" in err) == (2, True)
     views = [board_image(load_camera("fisheye"), BOARD, 0.3, 0.5, 0.4, np.random.default_rng(0))]
     folder = save(tmp_path / "one", views)
     code, _, err = visctrl("calibrate", "camera", folder, *size)

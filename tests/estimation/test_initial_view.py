@@ -11,7 +11,7 @@ from visctrl.estimation.initial_view import InitialView, InitialViewFilter
 from visctrl.estimation.tensor import Tensor
 from visctrl.estimation.tensor_method import TensorOptions
 from visctrl.geometry.trifocal import target_in_view, trilinear
-from visctrl.geometry.trifocal_fit import refine
+from visctrl.geometry.trifocal_fit import coupling, refine
 from visctrl.plugins import Health
 
 START = (-0.55, -1.35, -0.35)
@@ -102,7 +102,7 @@ def test_filter_without_prior_converges_to_the_truth():
         relation = trilinear(seen.initial, seen.current, seen.target)
         fit = refine(relation.within(known.view.basis), view, seen.sigma)
         view = fit.z
-        known.update(relation, fit)
+        known.update(coupling(relation, fit, known.view.parameters, known.view.jacobian))
     assert known.view.phi == pytest.approx(phi, abs=math.radians(0.3))
     assert known.view.bearing == pytest.approx(bearing, abs=math.radians(0.3))
     assert np.isfinite(known.view.covariance).all()
@@ -120,7 +120,7 @@ def test_many_frames_do_not_make_the_fixed_views_certain():
         seen = drive.views()
         relation = trilinear(seen.initial, seen.current, seen.target)
         fit = refine(relation.within(known.view.basis), known.view.parameters, seen.sigma)
-        known.update(relation, fit)
+        known.update(coupling(relation, fit, known.view.parameters, known.view.jacobian))
         deviations.append(math.sqrt(known.view.covariance[0, 0]))
     assert deviations[-1] > 0.6 * deviations[0]
 

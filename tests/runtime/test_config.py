@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from hal.camera_files import write_camera
+from hal.central_camera import load_camera
 from robots.errors import InputError
 from visctrl.config import Override, load_scenario, parse_setting, scenario_names, to_yaml
 from visctrl.runtime.plan import Plan, make_plan
@@ -211,3 +213,15 @@ def test_overrides_know_where_they_came_from() -> None:
     assert loaded.origin_of("robot") == "--robot p3at"
     assert loaded.origin_of("camera").endswith("default.yaml, --set camera.width=400")
     assert loaded.origin_of("scheme").endswith("default.yaml")
+
+
+def test_a_camera_may_be_another_programs_calibration(tmp_path: Path) -> None:
+    path = tmp_path / "chain.yaml"
+    write_camera(load_camera("hypercatadioptric").altered(cx=404.0), path, "kalibr")
+    overrides = [
+        Override(("camera", "name"), str(path), "--camera"),
+        Override(("backend",), "mock", "--backend"),
+    ]
+    plan = make_plan(load_scenario("default", overrides))
+    assert plan.camera.cx == 404.0
+    assert plan.camera.optical_axis == "down"

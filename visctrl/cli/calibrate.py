@@ -17,7 +17,8 @@ from rich.console import Console
 from rich.progress import track
 
 from hal.camera_files import FORMATS, Format, read_camera, widest_polar_deg, write_camera
-from hal.central_camera import CentralCamera, camera_names, load_camera
+from hal.central_camera import CentralCamera, load_camera
+from robots.documents import validate
 from robots.errors import InputError
 from visctrl.calibration.boards import Board
 from visctrl.calibration.camera import Calibration, Model, Sight, calibrate
@@ -136,10 +137,7 @@ def convert(source: str, out: Path, form: str, changes: dict[str, Any]) -> None:
     """
     camera = _camera(source)
     if changes:
-        try:
-            camera = camera.altered(**changes)
-        except ValueError as error:
-            raise InputError(f"{source}: {error}") from None
+        camera = validate({**camera.model_dump(), **changes}, CentralCamera, source)
     write_camera(camera, out, _format(form))
 
 
@@ -285,7 +283,9 @@ def _show_centre(report: dict[str, Any], known: CentralCamera | None, out: Path 
 
 
 def _camera(name: str) -> CentralCamera:
-    return load_camera(name) if name in camera_names() else read_camera(Path(name))
+    """Return a camera by the name of a built-in one, or of a calibration file."""
+    path = Path(name)
+    return read_camera(path) if path.suffix or path.exists() else load_camera(name)
 
 
 def _format(name: str) -> Format:
@@ -304,8 +304,10 @@ def _files(sources: Sequence[Path]) -> list[Path]:
             if not here:
                 raise InputError(f"{source}: no images here (looked for {', '.join(SUFFIXES)})")
             files += here
-        else:
+        elif source.exists():
             files.append(source)
+        else:
+            raise InputError(f"{source}: no such image or folder")
     return files
 
 

@@ -37,7 +37,7 @@ calibration = typer.Typer(
 )
 
 Images = Annotated[
-    list[Path], typer.Argument(metavar="IMAGE...", help="Image files, or folders of them.")
+    list[Path], typer.Argument(metavar="IMAGE", help="Image files, or folders of them.")
 ]
 BoardOption = Annotated[Kind, typer.Option("--board", help="Kind of the board.")]
 SizeOption = Annotated[

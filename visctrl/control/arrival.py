@@ -14,9 +14,9 @@ from hal.types import Velocity
 from robots.documents import Document
 
 #: The robot stands when it is told to move slower than this (m/s, rad/s).
-_STANDING = Velocity(0.006, math.radians(1.5))
+STANDING = Velocity(0.006, math.radians(1.5))
 #: Within tolerance, it waits this long for the rest of the error to go (s).
-_PATIENCE_S = 3.0
+PATIENCE_S = 3.0
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -49,7 +49,7 @@ class Arrival:
     """Watches a robot that settles on its target and decides when that is over.
 
     Forward error and heading can still be closed on the spot, so it waits until they are within
-    tolerance and then until the measurement shows none (or `_PATIENCE_S`). A lateral error
+    tolerance and then until the measurement shows none (or `PATIENCE_S`). A lateral error
     cannot: the robot has to come again.
     """
 
@@ -74,7 +74,7 @@ class Arrival:
         heading : of the robot in the target's frame (rad).
         sent : what the robot was told last; dt : for how long (s).
         """
-        if abs(sent.v) > _STANDING.v or abs(sent.omega) > _STANDING.omega:
+        if abs(sent.v) > STANDING.v or abs(sent.omega) > STANDING.omega:
             self._recent.clear()
         self._recent.append((*position, heading))
         if len(self._recent) < self._options.steady_ticks:
@@ -90,7 +90,7 @@ class Arrival:
             return Verdict.UNDER_WAY
         self._waited += dt
         settled = all(abs(mean) <= _floor(tolerance, column) for mean, tolerance, column in closing)
-        if not settled and self._waited < _PATIENCE_S:
+        if not settled and self._waited < PATIENCE_S:
             return Verdict.UNDER_WAY
         self._lateral = right
         return Verdict.THERE if abs(right) <= self._options.tolerance_m else Verdict.BESIDE

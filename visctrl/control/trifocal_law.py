@@ -17,7 +17,7 @@ from visctrl.estimation.estimates import TensorEstimate
 from visctrl.geometry.trifocal import T112, T121, T122, T211, T212, T221, T222
 
 #: Largest curvature of step 1 (1/m), and the turning rate allowed at a standstill (rad/s).
-_CURVATURE, _FREE_TURN = 2.5, 0.03
+CURVATURE, FREE_TURN = 2.5, 0.03
 
 
 class Gains(NamedTuple):
@@ -141,7 +141,7 @@ def without_spinning(wanted: Velocity) -> Velocity:
     Close to the goal the lateral error over the small distance left orders violent turns, which
     end in a heading far off and, with an imperfect calibration, in a new lateral error.
     """
-    most = _FREE_TURN + _CURVATURE * abs(wanted.v)
+    most = FREE_TURN + CURVATURE * abs(wanted.v)
     return Velocity(wanted.v, max(-most, min(most, wanted.omega)))
 
 

@@ -28,17 +28,17 @@ PUBLISHED = Gains(1.0, 2.0, 0.02, 0.02, 0.0, 0.04, 0.0, 0.1, 0.05, 0.3)
 PRACTICAL = Gains(1.0, 2.0, 0.02, 0.02, 0.04, 0.0, 0.005, 0.1, 0.05, 1.5)
 
 #: Cruising speed of a base without limits (m/s), and its share of the limit of one that has.
-_IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
+IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
 #: Share of the acceleration bound that the reference may ask for.
 _ACCELERATION_SHARE = 0.7
 #: The robot waits this long for the last of the position error (s).
-_PATIENCE_S = 3.0
+PATIENCE_S = 3.0
 #: Damping of the inverse in standard deviations of the lateral position.
-_DAMPING_SIGMAS = 15.0
+DAMPING_SIGMAS = 15.0
 #: A start this near to the target, in units of T_N, leaves only a turn to do.
-_THERE = 1e-3
+THERE = 1e-3
 #: So many times the initial distance away, and so much farther, the robot gives up.
-_ASTRAY, _LEEWAY_M = 1.5, 0.5
+ASTRAY, LEEWAY_M = 1.5, 0.5
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -157,7 +157,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
 
     def _starts_there(self, estimate: TensorEstimate) -> bool:
         """Return whether nothing but a turn is left to do, and go on to that."""
-        there = estimate.health is Health.OK and math.hypot(*estimate.outputs) < _THERE
+        there = estimate.health is Health.OK and math.hypot(*estimate.outputs) < THERE
         if there:
             self._phase = "orientation"
         return there
@@ -170,7 +170,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         start = math.hypot(*self._from)
         if start == 0.0:
             return False
-        limit = _ASTRAY * start + _LEEWAY_M / seen.scale
+        limit = ASTRAY * start + LEEWAY_M / seen.scale
         return math.hypot(seen.right, seen.forward) > limit
 
     def _advance(self, estimate: TensorEstimate, dt: float) -> Decision | None:
@@ -208,7 +208,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
                 return CosineDescent(self.options.tau_s)
             return CosineDescent.joining(self.options.tau_s, speed / distance)
         limits = self.context.limits
-        peak = _IDEAL_CRUISE
+        peak = IDEAL_CRUISE
         if limits is not None:
             bound = math.sqrt(_ACCELERATION_SHARE * limits.acceleration_m_s2 * distance / 2.0)
             peak = min(_CRUISE_SHARE * limits.v_m_s, bound)
@@ -234,7 +234,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         )
         damping = self._gains.damping
         if damping > 0.0:
-            damping = max(damping, _DAMPING_SIGMAS * seen.lateral_sd)
+            damping = max(damping, DAMPING_SIGMAS * seen.lateral_sd)
         wanted = position_step(seen, reference, rate, self._gains._replace(damping=damping))
         if not self._published:
             wanted = without_spinning(wanted)
@@ -244,7 +244,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         if self._progress >= self._reference.duration:
             self._waited += dt
             near = abs(seen.forward) * seen.scale < self.options.tolerance_m
-            if self._published or near or self._waited >= _PATIENCE_S:
+            if self._published or near or self._waited >= PATIENCE_S:
                 self._phase, self._waited = "orientation", 0.0
         return wanted
 

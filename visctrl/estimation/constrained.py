@@ -20,9 +20,15 @@ from visctrl.geometry.trifocal import (
     T122,
     FixedViews,
     Trilinear,
-    initial_view_basis,
 )
-from visctrl.geometry.trifocal_fit import Coupling, Fit, refine, view_jacobian, view_of
+from visctrl.geometry.trifocal_fit import (
+    Coupling,
+    Fit,
+    coupling,
+    refine,
+    view_jacobian,
+    view_of,
+)
 from visctrl.geometry.trifocal_solvers import identical_views, ransac
 from visctrl.plugins import Context, Health, Views
 
@@ -30,12 +36,12 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: With a smaller share of agreeing features, a solution is searched from scratch as well.
-_DOUBTFUL = 0.6
+DOUBTFUL = 0.6
 #: Residuals may be spread this many times wider than promised (drift of the tracks).
-_DRIFT = 3.0
+DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
-_CONTRADICTION, _RECONSIDER = 2.5, 10
+CONTRADICTION, _RECONSIDER = 2.5, 10
 _NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
@@ -82,7 +88,7 @@ class ConstrainedFit(TensorMethod):
             self._initial = InitialViewFilter(found)
         relation = self._relation(views)
         fit, agreeing = self._fit(relation, self._initial.view, views.sigma)
-        if fit.spread > _CONTRADICTION * views.sigma:
+        if fit.spread > CONTRADICTION * views.sigma:
             fit, agreeing = self._reconsidered(views, relation, fit, agreeing)
         initial = self._initial.view
         inliers = int(np.count_nonzero(agreeing))
@@ -93,11 +99,12 @@ class ConstrainedFit(TensorMethod):
         if not math.isfinite(target[0] + target[1]):
             return Measurement.none(Health.DEGENERATE, "features clustered: no pose determined")
         self._follow(initial, heading, target, fit)
-        coupled = self._initial.update(relation, fit)
+        shared = coupling(relation, fit, initial.parameters, initial.jacobian)
+        self._initial.update(shared)
         uncertainty = self._initial.view.covariance
         if not np.isfinite(uncertainty).all():
             return Measurement.none(Health.DEGENERATE, "initial view not determined yet")
-        return self._measurement(initial, uncertainty, coupled, fit, inliers)
+        return self._measurement(initial, uncertainty, shared, fit, inliers)
 
     def _relation(self, views: Views) -> Trilinear:
         """Return the trilinear relation of the three views."""
@@ -169,7 +176,7 @@ class ConstrainedFit(TensorMethod):
         start = self._predicted(initial)
         fit = refine(relation, start, sigma)
         agreeing = self._agreeing(fit, sigma)
-        if np.count_nonzero(agreeing) >= _DOUBTFUL * len(relation) or len(relation) < 4:
+        if np.count_nonzero(agreeing) >= DOUBTFUL * len(relation) or len(relation) < 4:
             return fit, agreeing
         z, inliers = ransac(
             relation,
@@ -209,17 +216,19 @@ class ConstrainedFit(TensorMethod):
         return others_fit, others
 
     def _agreeing(self, fit: Fit, sigma: float) -> Mask:
-        limit = self.options.threshold_sigmas * min(fit.spread, _DRIFT * sigma)
+        limit = self.options.threshold_sigmas * min(fit.spread, DRIFT * sigma)
         return np.asarray(np.abs(fit.residuals) < limit)
 
     def _predicted(self, initial: InitialView) -> Array:
-        """Return the view parameters (4,) that the driven motion leads to."""
+        """Return the view coordinates (4,), of unit length, that the driven motion leads to."""
         heading, (right, forward) = self._view or (initial.phi, initial.target)
         scale, _ = self._scale.estimate()
         unit = 0.0 if math.isnan(scale) else 1.0 / scale
         dx, dy, turn = self._moved
         x, y = _rotated((right - dx * unit, forward - dy * unit), -turn)
-        return np.array([math.cos(heading + turn), math.sin(heading + turn), x, y])
+        inverse = 1.0 / math.sqrt(1.0 + x * x + y * y)
+        c, s = inverse * math.cos(heading + turn), inverse * math.sin(heading + turn)
+        return np.array([c, s, inverse * x, inverse * y])
 
     def _follow(self, initial: InitialView, heading: float, target: Point, fit: Fit) -> None:
         """Keep the pose for the next prediction, and compare the paths seen and driven."""
@@ -233,19 +242,14 @@ class ConstrainedFit(TensorMethod):
         self._scale.update(self._driven, self._velocity, seen, seen_sd)
 
     def _measurement(
-        self, initial: InitialView, uncertainty: Array, coupled: Coupling, fit: Fit, inliers: int
+        self, initial: InitialView, uncertainty: Array, known: Coupling, fit: Fit, inliers: int
     ) -> Measurement:
-        # Lengths in units of the initial distance: T121 has that unit too.
-        cosine, sine = fit.z[:2].tolist()
-        square = cosine**2 + sine**2
-        z = fit.z / math.sqrt(square)
         basis = initial.basis
-        tensor = basis @ z
-        covariance = basis @ fit.covariance @ basis.T
-        shift = basis @ coupled.sensitivity + initial_view_basis(fit.z) @ initial.jacobian
-        covariance = covariance + shift @ uncertainty @ shift.T
-        # The covariance is that of the unit z; bring it to the tensor's scale.
-        covariance = covariance / square
+        tensor = basis @ fit.z
+        by_initial = basis @ known.sensitivity + known.by_initial
+        covariance = basis @ fit.covariance @ basis.T + by_initial @ uncertainty @ by_initial.T
+        # In units of the initial distance the target's heading has unit length in z.
+        unit = float(tensor[T121]) / math.hypot(*fit.z[:2].tolist())
         distance, distance_sd = self._scale.estimate()
         return Measurement(
             Health.OK,
@@ -254,8 +258,8 @@ class ConstrainedFit(TensorMethod):
             covariance,
             phi_1=initial.phi,
             phi_1_sd=math.sqrt(float(uncertainty[0, 0])),
-            scale_m=distance * float(tensor[T121]),
-            scale_sd_m=distance_sd * abs(float(tensor[T121])),
+            scale_m=distance * unit,
+            scale_sd_m=distance_sd * abs(unit),
             inliers=inliers,
             spread=fit.spread,
         )

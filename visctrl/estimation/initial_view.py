@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 from visctrl.geometry.planar import PlanarMotion
 from visctrl.geometry.symmetric import Symmetric2
-from visctrl.geometry.trifocal import Trilinear, current_view_basis
-from visctrl.geometry.trifocal_fit import Coupling, Fit, coupling
+from visctrl.geometry.trifocal import current_view_basis
+from visctrl.geometry.trifocal_fit import Coupling
 
 Array = NDArray[np.float64]
 
 #: Successive frames share the fixed views and their noise: after the first, this many count as
 #: one, and all of them together as no more than so many of the best.
-_ALIKE, _AT_MOST = 10.0, 2.0
+ALIKE, AT_MOST = 10.0, 2.0
 #: Squared distance (in sigmas) up to which the bearings and the prior agree.
-_AGREEMENT = 9.0
+AGREEMENT = 9.0
 #: What is known badly enough to count as unknown: condition number of the information.
-_CONDITION = 1e12
+CONDITION = 1e12
 _NONE = Symmetric2(0.0, 0.0, 0.0)
 
 
@@ -98,11 +98,10 @@ class InitialViewFilter:
         self._weighted = (0.0, 0.0)
         self._best = 0.0
 
-    def update(self, relation: Trilinear, fit: Fit) -> Coupling:
-        """Take in one tick's fit, made with the present ``view``; return its coupling."""
-        coupled = coupling(relation, fit, self.view.parameters, self.view.jacobian)
+    def update(self, coupled: Coupling) -> None:
+        """Take in what one tick's fit, made with the present ``view``, says about it."""
         information = Symmetric2.of(coupled.information)
-        weight = 1.0 if self._information == _NONE else 1.0 / _ALIKE
+        weight = 1.0 if self._information == _NONE else 1.0 / ALIKE
         pull = information.apply(
             (self.view.phi - self.prior.phi, self.view.bearing - self.prior.bearing)
         )
@@ -113,26 +112,25 @@ class InitialViewFilter:
             self._weighted[1] + weight * (pull[1] + gradient[1]),
         )
         self._best = max(self._best, information.trace)
-        excess = self._information.trace / max(_AT_MOST * self._best, 1e-300)
+        excess = self._information.trace / max(AT_MOST * self._best, 1e-300)
         if excess > 1.0:
             self._information = self._information.times(1.0 / excess)
             self._weighted = (self._weighted[0] / excess, self._weighted[1] / excess)
         self._fuse()
-        return coupled
 
     def _fuse(self) -> None:
         """Combine the prior with the bearings, at the weight that it has left."""
         prior, bearings = self._prior_information, self._information
         total = prior.plus(bearings)
         small, large = total.eigenvalues
-        if small * _CONDITION < large or large <= 0.0:
+        if small * CONDITION < large or large <= 0.0:
             return
         # What both together cannot explain of the bearings: dᵀ (Σ_prior + Σ_bearings)⁻¹ d.
         x, y = self._weighted
         alone = bearings.pseudo_inverse().apply(self._weighted)
         together = total.inverse().apply(self._weighted)
         distance2 = x * (alone[0] - together[0]) + y * (alone[1] - together[1])
-        doubt = max(1.0, 1.0 + distance2 - _AGREEMENT)
+        doubt = max(1.0, 1.0 + distance2 - AGREEMENT)
         covariance = bearings.plus(prior, 1.0 / doubt).inverse()
         phi, bearing = covariance.apply(self._weighted)
         self.view = InitialView(

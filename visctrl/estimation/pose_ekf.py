@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from hal.types import Pose, Velocity
 from robots.documents import Document
@@ -115,7 +115,7 @@ class EkfOptions(Document):
 
 @cache
 def _gate(probability: float, dof: int) -> float:
-    return float(chi2.ppf(probability, dof))
+    return float(chdtri(dof, 1.0 - probability))
 
 
 class PoseEkf(Estimator[EkfOptions, PoseEstimate]):

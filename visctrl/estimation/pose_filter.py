@@ -80,8 +80,10 @@ class _Slopes:
     def times(self, right: Array) -> Array:
         """Return H right (M, K), for ``right`` (6 + 2N, K)."""
         product = np.asarray(self.core @ right[:CORE], dtype=np.float64)
-        product += self.own[0, :, None] * right[self.first]
-        product += self.own[1, :, None] * right[self.third]
+        for own, column in zip(self.own, (self.first, self.third), strict=True):
+            part = right.take(column, axis=0)
+            part *= own[:, None]
+            product += part
         return product
 
     def diagonal(self, left: Array) -> Array:

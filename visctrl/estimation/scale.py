@@ -12,9 +12,9 @@ Point = tuple[float, float]
 
 #: The errors of successive frames are alike (they share the fixed views): this many of them
 #: count as one.
-_ALIKE = 10.0
+ALIKE = 10.0
 #: Standard deviation of the delay between a command and its effect (s), before data.
-_DELAY_SD_S = 0.15
+DELAY_SD_S = 0.15
 #: Longest step while the base is ramping (s).
 _STEP_S = 0.01
 
@@ -78,7 +78,7 @@ class PathScale:
     def update(self, path: Point, velocity: Point, seen: Point, seen_sd: float) -> None:
         """Add one moment: ``path`` in m, ``velocity`` in m/s, ``seen`` in units, its sd too."""
         (x, y), (vx, vy), (sx, sy) = path, velocity, seen
-        weight = 1.0 / (_ALIKE * max(seen_sd, 1e-9) ** 2)
+        weight = 1.0 / (ALIKE * max(seen_sd, 1e-9) ** 2)
         n11, n12, n22 = self._normal
         r1, r2 = self._right
         self._normal = (
@@ -94,7 +94,7 @@ class PathScale:
         r1, r2 = self._right
         if n11 <= 0.0 or r1 <= 0.0:
             return math.nan, math.inf
-        n22 += (n11 / (_DELAY_SD_S * r1)) ** 2
+        n22 += (n11 / (DELAY_SD_S * r1)) ** 2
         determinant = n11 * n22 - n12 * n12
         kappa = (n22 * r1 - n12 * r2) / determinant
         if kappa <= 0.0:

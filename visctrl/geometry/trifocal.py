@@ -102,13 +102,13 @@ class FixedViews:
     """
 
     def __init__(self, rays_1: ArrayLike, rays_3: ArrayLike) -> None:
-        (u, du), (w, dw) = _directions(rays_1), _directions(rays_3)
+        (u, du), (w, dw) = directions(rays_1), directions(rays_3)
         # (2, 2, 3, ..., N): u ⊗ w and its derivatives.
         self._pairs = np.stack([a[:, None] * b for a, b in ((u, w), (du, w), (u, dw))], axis=2)
 
     def relation(self, rays_2: ArrayLike) -> Trilinear:
         """Return the trilinear relation with the current view's rays (..., N, 2 or 3)."""
-        v, dv = _directions(rays_2)
+        v, dv = directions(rays_2)
         pairs = self._pairs
         forms = np.empty((2, 2, 2, 4, *pairs.shape[3:]))
         for j in (0, 1):
@@ -289,7 +289,7 @@ def dynamics(
     return np.stack(np.broadcast_arrays(*rates), axis=-1)
 
 
-def _directions(rays: ArrayLike) -> tuple[Array, Array]:
+def directions(rays: ArrayLike) -> tuple[Array, Array]:
     """Return bearings (2, ..., N) as (sin θ, cos θ), and their derivatives by the direction."""
     rays = np.asarray(rays, dtype=np.float64)
     right, forward = rays[..., 0], rays[..., 1]

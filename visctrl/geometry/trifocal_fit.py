@@ -24,13 +24,15 @@ from visctrl.geometry.trifocal import (
 Array = NDArray[np.float64]
 
 #: Width of the kernel in spreads of the residuals.
-_WIDTH = 4.0
+WIDTH = 4.0
 #: Longest step on the unit sphere.
-_LONGEST_STEP = 0.3
+LONGEST_STEP = 0.3
+#: Steps are at most so many times those of the weighted least squares.
+PACE = 1.5
 #: What keeps a singular matrix invertible, as a share of its size.
-_TINY = 1e-12
+TINY = 1e-12
 #: A step this short, in standard deviations of the result, ends the iteration.
-_CONVERGED = 0.02
+CONVERGED = 0.02
 
 
 @dataclass(frozen=True)
@@ -86,20 +88,21 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
         linear = linearised(relation, z)
         residual, jacobian = linear.residual, linear.jacobian(relation)
         spread = _spread(residual, sigma)
-        weights = _geman_mcclure(residual, spread)
+        weights, pace = _geman_mcclure(residual, spread)
         weighted = jacobian * weights
         information = weighted @ jacobian.T
         inverse = _inverse_across(information, z)
         step = inverse @ (weighted @ residual)
-        step *= -min(1.0, _LONGEST_STEP / max(math.sqrt(step @ step), 1e-300))
+        step *= -min(pace, LONGEST_STEP / max(math.sqrt(step @ step), 1e-300))
         z = z + step
         z /= math.sqrt(z @ z)
-        if math.sqrt(max(float(step @ information @ step), 0.0)) < _CONVERGED * spread:
+        if math.sqrt(max(float(step @ information @ step), 0.0)) < CONVERGED * spread:
             break
+    variance = spread**2
     return Fit(
         z,
-        spread**2 * inverse,
-        information / spread**2,
+        variance * inverse,
+        information / variance,
         Linearised(residual + step @ jacobian, linear.slopes),
         jacobian,
         weights,
@@ -137,11 +140,13 @@ def view_jacobian(z: Array) -> Array:
 class Coupling(NamedTuple):
     """What a fit says about the initial view p1(q) that it takes for granted, to first order.
 
+    by_initial : (8, m), dT/dq with the current view as fitted.
     sensitivity : (4, m), dz/dq of the fit.
     information : (m, m), of q, the current view being unknown.
     gradient : (m,), so that q + information⁻¹ gradient fits the features best.
     """
 
+    by_initial: Array
     sensitivity: Array
     information: Array
     gradient: Array
@@ -164,12 +169,19 @@ def coupling(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Arra
     weighted = (by_q * (fit.weights / fit.spread**2)).T
     mixed = fit.jacobian @ weighted
     shift = -fit.covariance @ mixed
-    return Coupling(shift, by_q @ weighted + mixed.T @ shift, -fit.residuals @ weighted)
+    information = by_q @ weighted + mixed.T @ shift
+    return Coupling(by_initial, shift, information, -fit.residuals @ weighted)
 
 
-def _geman_mcclure(residual: Array, spread: float) -> Array:
-    root = 1.0 / (1.0 + np.square(residual * (1.0 / (_WIDTH * spread))))
-    return np.asarray(root * root)
+def _geman_mcclure(residual: Array, spread: float) -> tuple[Array, float]:
+    """Return the kernel's weights, and how much longer than theirs Newton's step is."""
+    root = 1.0 / (1.0 + np.square(residual * (1.0 / (WIDTH * spread))))
+    weights = root * root
+    total = float(root @ root)
+    # The second derivative of the cost is weights (4 root − 3) where that of the weights' own
+    # least squares is weights; where residuals are as promised, the mean will do.
+    curvature = 4.0 * float(weights @ root) - 3.0 * total
+    return weights, min(PACE, total / curvature) if curvature > 0.0 else PACE
 
 
 def _spread(residual: Array, sigma: float) -> float:
@@ -182,5 +194,5 @@ def _inverse_across(information: Array, z: Array) -> Array:
     """Return the pseudo-inverse of ``information``, whose null direction is z."""
     along = z[:, None] * z
     size = float(information.trace()) + 1e-300
-    completed = information + size * (along + _TINY * np.eye(len(z)))
+    completed = information + size * (along + TINY * np.eye(len(z)))
     return np.asarray(np.linalg.inv(completed) - along / size)

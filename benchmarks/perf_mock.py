@@ -1,0 +1,112 @@
+"""The closed loop without pictures: runs on the mock, in one process and in two."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from paired import ADDITIONS, additions, paired
+
+from visctrl.config import load_scenario, parse_setting
+from visctrl.experiments.jobs import Job, run_jobs
+from visctrl.montecarlo.drive import Ending, drive_many
+from visctrl.runtime.plan import make_plan
+from visctrl.runtime.registry import REGISTRIES
+from visctrl.runtime.session import run_session
+
+ROUNDS = 7
+JOBS = 12
+
+
+def measured(benchmark: Any, *settings: str, bound: str = "") -> None:
+    """Time whole runs of the mock scenario."""
+    changes = [parse_setting(text) for text in settings]
+    plan = make_plan(load_scenario("mock", changes, REGISTRIES.backends.known()))
+    simulated, ticks = [], []
+
+    def run() -> None:
+        summary = run_session(plan).summary
+        assert summary["ticks"] > 0
+        simulated.append(summary["duration_s"])
+        ticks.append(summary["ticks"])
+
+    paired(
+        benchmark,
+        run,
+        additions,
+        rounds=ROUNDS,
+        against=f"{ADDITIONS} array additions",
+        bound=bound,
+    )
+    took = benchmark.stats.stats.median
+    benchmark.extra_info["notes"] = {
+        "x real time": f"{simulated[-1] / took:.0f}",
+        "ticks/s": f"{ticks[-1] / took:.0f}",
+        "additions a tick": f"{benchmark.extra_info['ratio'] * ADDITIONS / ticks[-1]:.0f}",
+    }
+
+
+@pytest.mark.parametrize("scheme", ["trifocal", "epipolar", "pose"])
+def test_run(benchmark: Any, scheme: str) -> None:
+    """One run of the default task, opening and teaching included."""
+    measured(benchmark, f"scheme={scheme}", bound="300 x real time")
+
+
+@pytest.mark.parametrize("features", [10, 100, 1000])
+def test_run_by_features(benchmark: Any, features: int) -> None:
+    """The trifocal run with few and with many features."""
+    measured(benchmark, f"mock.features={features}")
+
+
+def test_two_processes(benchmark: Any) -> None:
+    """Many runs in two processes against the same runs in one; wall time, start included."""
+    jobs = [Job("mock", (f"seed={seed}", "scheme=epipolar")) for seed in range(JOBS)]
+
+    def wall(workers: int) -> float:
+        began = time.perf_counter()
+        run_jobs(jobs, workers, lambda index, summary: None)
+        return time.perf_counter() - began
+
+    one = wall(1)
+    two = benchmark.pedantic(wall, args=(2,), rounds=1)
+    benchmark.extra_info.update(
+        against="the same in one process",
+        reference_ms=1e3 * one,
+        ratio=two / one,
+        bound="1 / 1.8",
+        ms=1e3 * two,
+        notes={"wall time, quicker": f"{one / two:.2f} x"},
+    )
+
+
+@pytest.mark.parametrize("runs", [1, 10, 100, 1000])
+def test_monte_carlo(benchmark: Any, runs: int) -> None:
+    """Many ideal robots from far starts in array operations, set-up included."""
+    rng = np.random.default_rng(0)
+    low, high = (-0.5, -6.0, -5.0), (0.5, -4.0, 5.0)
+    plans = []
+    for seed, (x, y, phi) in enumerate(rng.uniform(low, high, (runs, 3)).tolist()):
+        where = (f"start.x_m={x}", f"start.y_m={y}", f"start.phi_deg={phi}", f"seed={seed}")
+        settings = (*where, "approach.enabled=false", "mock.ideal=true", "mock.far_m=12")
+        changes = [parse_setting(text) for text in settings]
+        plans.append(make_plan(load_scenario("mock", changes, REGISTRIES.backends.known())))
+    endings: list[Ending] = []
+
+    def run() -> None:
+        endings[:] = drive_many(plans)
+
+    paired(
+        benchmark,
+        run,
+        additions,
+        rounds=1,
+        against=f"{ADDITIONS} array additions",
+        bound="3,000 x real time",
+    )
+    simulated = sum(ending.ticks for ending in endings) * plans[0].period_s
+    benchmark.extra_info["notes"] = {
+        "x real time": f"{simulated / benchmark.stats.stats.median:.0f}",
+        "run alone": f"{sum(ending.alone for ending in endings)} of {runs}",
+    }
