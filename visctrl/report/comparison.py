@@ -139,7 +139,8 @@ def _differences(named: Sequence[tuple[str, RunFiles]]) -> str:
     """Return tables of the settings that are not the same in all runs, or not in all runs."""
     flat = [dict(_flattened(run.config)) for _, run in named]
     keys = dict.fromkeys(key for settings in flat for key in settings)
-    shared, others = [], []
+    shared: list[list[str]] = []
+    others: list[list[str]] = []
     for key in keys:
         values = [settings.get(key, "") for settings in flat]
         rows = shared if all(key in settings for settings in flat) else others
