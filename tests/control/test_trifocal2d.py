@@ -33,6 +33,13 @@ def test_reaches_the_target_without_noise():
     assert outcome.heading_deg < 0.1
 
 
+def test_a_straight_way_keeps_its_scale_at_the_target():
+    """Straight to the end: where the baseline's direction is lost, the scale must not follow."""
+    outcome = run((0.0, -2.0, 0.0), MockOptions(ideal=True))
+    assert outcome.finished
+    assert outcome.position < 1e-3
+
+
 def test_reaches_the_target_with_a_real_base():
     mock = MockOptions(noise_px=0.3, near_m=1.5, far_m=5.0, actuation=REAL)
     outcome = run(START, mock)

@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 
 #: The leg counts as straight while the robot has turned less than this (rad).
 _STRAIGHT = math.radians(3.0)
+#: The leg tells the scale down to this share of the distance: near the target T232, with the
+#: baseline's direction, is not determined.
+_FAR = 0.5
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -187,7 +190,7 @@ class Tensor2d(Estimator[Tensor2dOptions, Tensor2dEstimate]):
 
     def _scale(self, tensor: Array, covariance: Array) -> tuple[float, float]:
         """Compare the paths seen and driven on the straight leg; return |t_1| in metres."""
-        if self._turned < _STRAIGHT:
+        if self._turned < _STRAIGHT and tensor[T223] > _FAR:
             # On the leg t_y falls from −T232 to T223.
             slope = np.zeros(12)
             slope[[T223, T232]] = -1.0
