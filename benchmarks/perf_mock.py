@@ -76,7 +76,8 @@ def test_two_processes(benchmark: Any) -> None:
         reference_ms=1e3 * one,
         ratio=two / one,
         bound="1 / 1.8",
-        notes={"wall": f"{two:.1f} s", "quicker": f"{one / two:.2f} x"},
+        ms=1e3 * two,
+        notes={"wall time, quicker": f"{one / two:.2f} x"},
     )
 
 

@@ -7,6 +7,7 @@ Milliseconds per run, for tests and for Monte Carlo studies. It imitates what sp
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -32,6 +33,16 @@ _EXACT = ActuationOptions(quantise=False)
 Metres = Annotated[float, Field(gt=0.0)]
 
 
+class Scatter(Document):
+    """How the mean velocity executed in a tick scatters about what was commanded.
+
+    v_m_s, omega_deg_s : standard deviations, drawn anew in every tick of a moving robot.
+    """
+
+    v_m_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    omega_deg_s: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
+
+
 class MockOptions(Document):
     """Scene, camera noise and actuation of the mock.
 
@@ -39,6 +50,7 @@ class MockOptions(Document):
     near_m, far_m : how far the points are from the way to the target (from the target, for a
         camera that looks ahead).
     noise_px : standard deviation of a feature's position in each image coordinate.
+    scatter : of the executed motion; the wheels do not notice it.
     ideal : no speed limits, ramps, quantisation, delay or slip, as in published simulations.
     """
 
@@ -46,6 +58,7 @@ class MockOptions(Document):
     near_m: Metres = 2.0
     far_m: Metres = 8.0
     noise_px: Annotated[float, Field(ge=0.0, le=100.0)] = 0.0
+    scatter: Scatter = Scatter()
     ideal: bool = False
     actuation: ActuationOptions = ActuationOptions()
     faults: Faults = Faults()
@@ -115,7 +128,8 @@ class MockBackend(Backend):
             Start and target see too little in common.
         """
         options = self._options
-        scene_seed, noise_seed, teach_seed, drop_seed = np.random.SeedSequence(self._seed).spawn(4)
+        seeds = np.random.SeedSequence(self._seed).spawn(5)
+        scene_seed, noise_seed, teach_seed, drop_seed, scatter_seed = seeds
         points = scatter(
             options.features,
             (options.near_m, options.far_m),
@@ -125,7 +139,14 @@ class MockBackend(Backend):
             np.random.default_rng(scene_seed),
         )
         actuation = _EXACT if options.ideal else options.actuation
-        motion = _Motion(self._start, self._mount.forward_m, self._limits, actuation)
+        scatter_rng = np.random.default_rng(scatter_seed)
+        motion = _Motion(
+            self._start,
+            self._mount.forward_m,
+            self._limits,
+            actuation,
+            lambda: _scattered(options.scatter, scatter_rng),
+        )
         clock = WorldClock(motion.advance, WallClock() if self._realtime else None)
         drops = FaultyCapture(options.faults, np.random.default_rng(drop_seed))
         projector = _Projector(points, self._true_camera, options.noise_px)
@@ -270,11 +291,17 @@ class _Motion:
     """True and dead-reckoned pose of the robot under the commands it is given."""
 
     def __init__(
-        self, start: Pose, offset: float, limits: Limits | None, options: ActuationOptions
+        self,
+        start: Pose,
+        offset: float,
+        limits: Limits | None,
+        options: ActuationOptions,
+        scatter: Callable[[], Velocity],
     ) -> None:
         self.actuation = Actuation(limits, options)
         self.set_point = STANDSTILL
         self._options = options
+        self._scatter = scatter
         self._offset = offset
         self._time = 0.0
         self._wheels = (0.0, 0.0, 0.0)
@@ -286,10 +313,13 @@ class _Motion:
     def advance(self, dt: float) -> None:
         """Move on by ``dt`` (s) along exact arcs."""
         end = self._time + dt
+        scatter = self._scatter()
         while (left := end - self._time) > _INSTANT_S:
             step = left if self._instant or self.actuation.steady else min(left, _STEP_S)
             self.set_point = self.actuation.velocity_at(self._time, step)
             executed = self._options.executed(self.set_point)
+            if executed != STANDSTILL:
+                executed = Velocity(executed.v + scatter.v, executed.omega + scatter.omega)
             self._axle = along_arc(self._axle, executed, step)
             self._wheels = along_arc(self._wheels, self.set_point, step)
             self._time += step
@@ -307,3 +337,11 @@ class _Motion:
     def halt(self) -> None:
         self.actuation.halt()
         self.set_point = STANDSTILL
+
+
+def _scattered(scatter: Scatter, rng: np.random.Generator) -> Velocity:
+    """Draw by how much a tick's velocity differs from the commanded one."""
+    if scatter == Scatter():
+        return STANDSTILL
+    v, omega = rng.normal(size=2).tolist()
+    return Velocity(v * scatter.v_m_s, omega * math.radians(scatter.omega_deg_s))

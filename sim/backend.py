@@ -12,14 +12,14 @@ from hal.clock import WallClock, WorldClock
 from hal.errors import CameraError, LinkError
 from hal.faults import FaultyCapture, check_link
 from hal.interfaces import Backend, Base, Camera
-from hal.types import Frame, Odometry, Pose, Velocity
+from hal.types import Frame, Odometry, Pose, Range, Velocity
 from robots import Limits, Robot
 from robots.model import Mount
 from sim.imaging import Sensor
 from sim.options import SimOptions
 from sim.physics import Physics
 from sim.renderer import BulletRenderer, choose_drawer
-from sim.scene import Scene, load_scene
+from sim.scene import Item, Scene, load_scene
 from sim.world import World
 
 _TARGET = Pose(0.0, 0.0, 0.0)
@@ -66,6 +66,11 @@ class SimBase(Base):
     def odometry(self) -> Odometry:
         """See `Base.odometry`."""
         return self._world.odometry(self._clock.synchronise())
+
+    def ranges(self) -> list[Range]:
+        """See `Base.ranges`: rays that stand for the robot's sonar rings."""
+        self._clock.synchronise()
+        return self._world.ranges()
 
 
 class SimBackend(Backend):
@@ -129,7 +134,7 @@ class SimBackend(Backend):
         InputError
             The scene or renderer cannot be used, or the start or the target is not free.
         """
-        scene = load_scene(self._options.scene)
+        scene = self._scene()
         scene.check_clear(self._start, self._mount.forward_m, self.robot, "start")
         scene.check_clear(_TARGET, self._mount.forward_m, self.robot, "target")
         self._world = self._build(scene)
@@ -175,6 +180,19 @@ class SimBackend(Backend):
     def collisions(self) -> int:
         """See `Backend.collisions`."""
         return self._world.physics.contacts if self._world is not None else 0
+
+    def _scene(self) -> Scene:
+        scene = load_scene(self._options.scene)
+        boxes = [
+            Item(
+                name=f"box {number}",
+                at_m=(box.x_m, box.y_m),
+                size_m=(box.width_m, box.depth_m, box.height_m),
+                yaw_deg=box.yaw_deg,
+            )
+            for number, box in enumerate(self._options.boxes, 1)
+        ]
+        return scene.model_copy(update={"items": (*scene.items, *boxes)})
 
     def _build(self, scene: Scene) -> World:
         options = self._options

@@ -14,10 +14,22 @@ from sim.scene_files import check_scene_name
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 
+class Box(Document):
+    """A box on the floor, for example an obstacle: centre and yaw in the target's frame."""
+
+    x_m: float
+    y_m: float
+    width_m: Annotated[float, Field(gt=0.0)] = 0.4
+    depth_m: Annotated[float, Field(gt=0.0)] = 0.4
+    height_m: Annotated[float, Field(gt=0.0)] = 0.5
+    yaw_deg: float = 0.0
+
+
 class SimOptions(Document):
     """Options of the simulated backend.
 
     scene : name of a scene of this package, or the path of a scene file.
+    boxes : what stands there besides.
     renderer : ``tiny`` draws in software everywhere; ``egl`` needs a working EGL driver;
         ``auto`` takes EGL where its probe succeeds. EGL pays off on a GPU only.
     image_noise : standard deviation of the pixel noise (grey levels).
@@ -29,6 +41,7 @@ class SimOptions(Document):
     """
 
     scene: str = "hall"
+    boxes: tuple[Box, ...] = ()
     renderer: Literal["auto", "tiny", "egl"] = "tiny"
     image_noise: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
     blur_px: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0

@@ -28,8 +28,12 @@ _GRAVITY_M_S2 = 9.81
 _WALL_THICKNESS_M = 0.2
 #: Time for the robot to come to rest on its wheels after it has been put down.
 _SETTLE_STEPS = 60
+#: Height of the sonar rings (m).
+_SONAR_HEIGHT_M = 0.2
 #: Collision groups: wheels roll on the floor; the body's outline meets everything else.
 _FLOOR, _THINGS, _BODY, _WHEELS = 1, 2, 4, 8
+#: The engine counts rays into its first group.
+_RAYS = _FLOOR
 
 
 class Physics:
@@ -74,6 +78,11 @@ class Physics:
         self._items = {item.name for item in scene.items}
         self._touching: set[int] = set()
         self._contacts = 0
+
+    @property
+    def robot(self) -> str:
+        """Name of the robot."""
+        return self._robot.name
 
     def put(self, axle: Pose) -> None:
         """Put the robot down, at rest, with its axle's centre at ``axle``."""
@@ -130,6 +139,25 @@ class Physics:
             self._body, physicsClientId=self.client
         )[1]
         return math.acos(min(1.0, pybullet.getMatrixFromQuaternion(quaternion)[8]))
+
+    def echoes(self, start: Array, end: Array) -> Array:
+        """Return how far along segments (N, 2, floor plan) things are met, as shares (N,).
+
+        The segments run at the height of the sonar rings; 1 is nothing. The robot itself is not
+        met.
+        """
+        ends = [
+            np.column_stack([to_rep103(np.pad(points, ((0, 0), (0, 1))))[:, :2], height])
+            for points in (start, end)
+            for height in [np.full(len(points), _SONAR_HEIGHT_M)]
+        ]
+        hits = pybullet.rayTestBatch(
+            ends[0].tolist(),
+            ends[1].tolist(),
+            collisionFilterMask=_THINGS,
+            physicsClientId=self.client,
+        )
+        return np.array([hit[2] if hit[0] >= 0 else 1.0 for hit in hits])
 
     @property
     def contacts(self) -> int:
@@ -198,7 +226,7 @@ class Physics:
             baseOrientation=orientation,
             physicsClientId=self.client,
         )
-        self._filter(body, -1, _THINGS, _BODY)
+        self._filter(body, -1, _THINGS, _BODY | _RAYS)
         return int(body)
 
     def _separate_wheels(self, links: set[int]) -> None:

@@ -10,8 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.pioneer.emulator.world import NO_ECHO_M
-from hal.pioneer.subclasses import SonarPose
+from hal.pioneer.subclasses import NO_ECHO_M, SonarPose
 from hal.types import Pose
 from robots import Robot
 from sim.scene import Scene, overlap, rectangle, robot_outline

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from hal.actuation import Actuation, ActuationOptions
-from hal.types import STANDSTILL, Frame, Odometry, Pose, Velocity
+from hal.pioneer.subclasses import NO_ECHO_M, ring_of
+from hal.types import STANDSTILL, Frame, Odometry, Pose, Range, Velocity
 from robots.model import Mount
 from robots.unicycle import step_exact
 from sim.imaging import Sensor
@@ -15,6 +18,8 @@ from sim.renderer import Renderer
 _STEP_S = 1.0 / STEPS_PER_SECOND
 #: Times this close, in steps, are the same.
 _STEP_TOLERANCE = 1e-6
+#: Rays across a sonar's cone (rad).
+_CONE = np.radians([-12.0, -6.0, 0.0, 6.0, 12.0])
 _ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
@@ -40,6 +45,7 @@ class World:
         self._sensor = sensor
         self._options = options
         self._mount = mount
+        self._ring = ring_of(physics.robot)
         self.closed = False
         self._time = 0.0
         self._steps = 0
@@ -77,6 +83,25 @@ class World:
     def odometry(self, stamp: float) -> Odometry:
         """Return the axle's dead-reckoned pose since the robot was put down."""
         return Odometry(stamp, self._dead_reckoned, self._measured)
+
+    def ranges(self) -> list[Range]:
+        """Return what the robot's sonar rings would measure: the nearest in each cone."""
+        if not self._ring:
+            return []
+        axle = self.physics.axle()
+        at = np.array([[-pose.left_m, pose.forward_m] for pose in self._ring])
+        s, c = math.sin(axle.phi), math.cos(axle.phi)
+        start = np.array([axle.x, axle.y]) + at @ np.array([[c, s], [-s, c]])
+        angle = axle.phi + np.array([[p.direction_rad] for p in self._ring]) + _CONE
+        rays = NO_ECHO_M * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+        origins = np.broadcast_to(start[:, None], rays.shape)
+        shares = self.physics.echoes(origins.reshape(-1, 2), (origins + rays).reshape(-1, 2))
+        nearest = shares.reshape(angle.shape).min(axis=1)
+        distance = np.where(nearest < 1.0, NO_ECHO_M * nearest, math.inf)
+        return [
+            Range(float(right), float(forward), -pose.direction_rad, float(away))
+            for pose, (right, forward), away in zip(self._ring, at, distance, strict=True)
+        ]
 
     def photograph(self, stamp: float) -> Frame:
         """Return a new frame."""

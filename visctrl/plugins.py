@@ -210,6 +210,11 @@ class Controller(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
     #: Estimates that `update` accepts, checked when a scheme is put together.
     accepts: ClassVar[type[Estimate]]
 
+    @property
+    def listens(self) -> bool:
+        """Whether it wants to hear the base's range sensors: `sense` is called only then."""
+        return False
+
     def sense(self, ranges: Sequence[Range]) -> None:
         """Hear what the base's range sensors say, before `update`. The default is to ignore it."""
 

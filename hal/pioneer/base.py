@@ -32,7 +32,7 @@ from hal.pioneer.reports import (
 from hal.pioneer.settings import REST, settings
 from hal.pioneer.subclasses import find_subclass
 from hal.pioneer.telemetry import Telemetry
-from hal.types import STANDSTILL, BaseStatus, Odometry, Velocity
+from hal.types import STANDSTILL, BaseStatus, Odometry, Range, Velocity
 from robots import Limits
 
 #: Without a report for so long, the robot is stopped: three reports in a row are missing.
@@ -211,6 +211,10 @@ class PioneerBase(Base):
         newest = self._clock.now() - max_age_s
         echoes = dict(self._session().echoes)
         return {number: echo.range_m for number, echo in echoes.items() if echo.stamp >= newest}
+
+    def ranges(self) -> list[Range]:
+        """See `Base.ranges`: the sonar rings' echoes of the last second."""
+        return self._session().ranges(self._clock.now() - 1.0)
 
     # --- connecting --------------------------------------------------------------------------
 

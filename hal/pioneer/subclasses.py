@@ -16,6 +16,8 @@ from robots.documents import suggestion
 #: Heading units to radians. The parameter files print it rounded to 0.00153, which makes an
 #: error of 0.26 %: a turn has exactly 4096 units.
 HEADING_RAD = 2.0 * math.pi / 4096.0
+#: Range that the firmware reports where nothing echoes (m).
+NO_ECHO_M = 5.0
 #: Step of VEL2 (mm/s).
 VEL2_STEP = 20
 
@@ -88,6 +90,14 @@ SUBCLASSES = {
         _at("p2at", 1.32, 0.268),
     )
 }
+
+
+def ring_of(robot: str) -> tuple[SonarPose, ...]:
+    """Return the sonar ring of a robot of `robots`; empty if it is none of ARCOS'."""
+    for subclass in SUBCLASSES.values():
+        if subclass.robot == robot:
+            return subclass.sonar
+    return ()
 
 
 def find_subclass(name: str) -> Subclass:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from hal.pioneer.config import Config
 from hal.pioneer.reports import Flags, StandardReport
-from hal.pioneer.subclasses import HEADING_RAD, Subclass
-from hal.types import STANDSTILL, BaseStatus, Odometry, Pose, Velocity
+from hal.pioneer.subclasses import HEADING_RAD, NO_ECHO_M, Subclass
+from hal.types import STANDSTILL, BaseStatus, Odometry, Pose, Range, Velocity
 
 #: Every firmware's position counter wraps at a multiple of this (15, 16 or more bits).
 _POSITION_WRAP = 1 << 15
@@ -80,6 +80,16 @@ class Telemetry:
         for reading in report.sonar:
             range_m = reading.range * self._subclass.range_mm / 1e3
             self.echoes[reading.number] = Echo(range_m, stamp)
+
+    def ranges(self, since: float) -> list[Range]:
+        """Return the sonar readings reported since then (s); infinite where nothing echoed."""
+        ring, found = self._subclass.sonar, []
+        for number, echo in sorted(dict(self.echoes).items()):
+            if echo.stamp >= since and number < len(ring):
+                at = ring[number]
+                distance = echo.range_m if echo.range_m < NO_ECHO_M else math.inf
+                found.append(Range(-at.left_m, at.forward_m, -at.direction_rad, distance))
+        return found
 
     @property
     def reported(self) -> bool:

@@ -39,6 +39,7 @@ def test_session(bench: MakeBench, kind: str, personality: Personality) -> None:
     assert velocity.omega == pytest.approx(math.radians(-20))
     it.site.wait_until(lambda: len(base.echoes()) == 16, 0.5)
     assert set(base.echoes().values()) == {5.0}
+    assert [reading.distance for reading in base.ranges()] == [math.inf] * 16
     base.close()
     base.close()
     odometry, truth = base.odometry().pose, it.robot.pose

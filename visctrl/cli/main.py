@@ -272,6 +272,53 @@ def reproduce_command(
     raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json))
 
 
+@app.command("observability")
+def observability_command(
+    run: Annotated[
+        Path | None, typer.Argument(metavar="[RUN]", help="Directory of a recorded, simulated run.")
+    ] = None,
+    start: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="X Y PHI_DEG", help="Plan the pose scheme's path from here instead."),
+    ] = None,
+    output: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="What is measured: epipoles, target-epipole, or a tensor element over T121 "
+            "(T111, ...); may be repeated.",
+        ),
+    ] = None,
+    tau: Annotated[float, typer.Option(metavar="S", min=1.0, help="Time of a planned path.")] = 100,
+    period: Annotated[
+        float, typer.Option(metavar="S", min=0.01, help="Tick of a planned path.")
+    ] = 0.5,
+    window: Annotated[int, typer.Option(metavar="N", min=1, help="Ticks judged together.")] = 10,
+    offset: Annotated[
+        float, typer.Option(metavar="M", min=0.01, help="Camera ahead of the axle.")
+    ] = 0.08,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write every window to a CSV file.")
+    ] = None,
+) -> None:
+    """Tell which directions of the pose a motion makes observable, and when they are lost."""
+    from visctrl.cli.observability import observability
+
+    code = observability(
+        run,
+        start,
+        output or [],
+        tau_s=tau,
+        period_s=period,
+        window=window,
+        offset_m=offset,
+        as_json=as_json,
+        out=out,
+    )
+    raise typer.Exit(code)
+
+
 @app.command("study")
 def study_command(
     study: Annotated[

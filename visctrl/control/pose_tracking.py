@@ -171,6 +171,11 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         self._task_time = 0.0
         self._reference: Reference | None = None
 
+    @property
+    def listens(self) -> bool:
+        """Whether range sensors are believed at all (``sonar_m``)."""
+        return self.options.sonar_m > 0.0
+
     def sense(self, ranges: Sequence[Range]) -> None:
         """Keep what the range sensors say for the next `update`."""
         self._ranges = ranges

@@ -127,6 +127,41 @@ _ENTRIES = (
         "visctrl.experiments.trifocal:robot_3_14",
     ),
     Entry(
+        "table-4.1",
+        "pose filters, 100 runs a row: the source's, and the consistent one",
+        "visctrl.experiments.pose:table_4_1",
+    ),
+    Entry(
+        "fig-4.2",
+        "100 runs of the consistent filter from one start: 2σ, NEES and NIS",
+        "visctrl.experiments.pose:figure_4_2",
+    ),
+    Entry(
+        "fig-4.3",
+        "pose scheme with a tilted or off-centre camera, 50 runs each",
+        "visctrl.experiments.pose_figures:figure_4_3",
+    ),
+    Entry(
+        "fig-4.4",
+        "pose scheme past an obstacle (bounds are the project's own)",
+        "visctrl.experiments.pose_figures:figure_4_4",
+    ),
+    Entry(
+        "fig-4.4-sim",
+        "pose scheme past a box, by sonar, on rendered images (bounds are the project's own)",
+        "visctrl.experiments.pose_figures:figure_4_4_sim",
+    ),
+    Entry(
+        "fig-4.6",
+        "pose scheme with each kind of camera (bounds are the project's own)",
+        "visctrl.experiments.pose_figures:figure_4_6",
+    ),
+    Entry(
+        "robot-4.8",
+        "the pose robot experiment on the simulator (bounds are the project's own)",
+        "visctrl.experiments.pose_figures:robot_4_8",
+    ),
+    Entry(
         "calibrate-camera",
         "(ξ, K) from rendered boards, every camera (bounds are the project's own)",
         "visctrl.experiments.calibration:cameras",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from visctrl.experiments.jobs import Job, run_jobs
+from visctrl.experiments.jobs import Job, run_job, run_jobs
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,9 @@ class Bench:
     workers: int
     announce: Callable[[int, int], None] = field(default=lambda total, done: None)
 
-    def run(self, jobs: Sequence[Job]) -> list[dict[str, Any]]:
+    def run(
+        self, jobs: Sequence[Job], work: Callable[[Job], dict[str, Any]] = run_job
+    ) -> list[dict[str, Any]]:
         """Run jobs and return their summaries in order, announcing each."""
         done = 0
         self.announce(len(jobs), 0)
@@ -56,7 +58,7 @@ class Bench:
             done += 1
             self.announce(len(jobs), done)
 
-        return run_jobs(jobs, self.workers, count)
+        return run_jobs(jobs, self.workers, count, work)
 
 
 def at_most(case: str, published: Mapping[str, float], ours: Mapping[str, float]) -> Row:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robots.errors import VisctrlError
 from visctrl.experiments.workers import Died, LocalWorkers, default_workers
+
+if TYPE_CHECKING:
+    from visctrl.runtime.plan import Plan
 
 __all__ = ["Job", "default_workers", "run_job", "run_jobs"]
 
@@ -35,8 +39,8 @@ class WorkerDiedError(VisctrlError):
     exit_code = 3
 
 
-def run_job(job: Job) -> dict[str, Any]:
-    """Run one job and return its summary (see `visctrl.runtime.summary.summarise`).
+def plan_of(job: Job) -> Plan:
+    """Return the plan of a job's run.
 
     Raises
     ------
@@ -46,10 +50,22 @@ def run_job(job: Job) -> dict[str, Any]:
     from visctrl.config import load_scenario, parse_setting
     from visctrl.runtime.plan import make_plan
     from visctrl.runtime.registry import REGISTRIES
-    from visctrl.runtime.session import run_session
 
     overrides = [parse_setting(text) for text in job.settings]
-    plan = make_plan(load_scenario(job.scenario, overrides, REGISTRIES.backends.known()))
+    return make_plan(load_scenario(job.scenario, overrides, REGISTRIES.backends.known()))
+
+
+def run_job(job: Job) -> dict[str, Any]:
+    """Run one job and return its summary (see `visctrl.runtime.summary.summarise`).
+
+    Raises
+    ------
+    InputError
+        The scenario or a setting cannot be used.
+    """
+    from visctrl.runtime.session import run_session
+
+    plan = plan_of(job)
     if not job.image_motion or job.out is None:
         return run_session(plan, job.out).summary
     from visctrl.experiments.image_motion import ImageMotion
@@ -61,7 +77,10 @@ def run_job(job: Job) -> dict[str, Any]:
 
 
 def run_jobs(
-    jobs: Sequence[Job], workers: int, on_done: Callable[[int, dict[str, Any]], None]
+    jobs: Sequence[Job],
+    workers: int,
+    on_done: Callable[[int, dict[str, Any]], None],
+    work: Callable[[Job], dict[str, Any]] = run_job,
 ) -> list[dict[str, Any]]:
     """Run jobs in fresh processes and return their summaries in the jobs' order.
 
@@ -72,6 +91,8 @@ def run_jobs(
         Processes at a time.
     on_done : callable
         Called in this process as (index, summary) whenever a run has ended.
+    work : callable
+        What a process does with a job: a function of some module.
 
     Raises
     ------
@@ -79,7 +100,9 @@ def run_jobs(
         The process of a run died twice; the message names the run.
     """
     results: dict[int, dict[str, Any]] = {}
-    with closing(LocalWorkers(workers).each(_run_numbered, list(enumerate(jobs)))) as done:
+    with closing(
+        LocalWorkers(workers).each(partial(_run_numbered, work), list(enumerate(jobs)))
+    ) as done:
         for (index, job), summary in done:
             if isinstance(summary, Died):
                 named = " ".join((job.scenario, *job.settings))
@@ -89,5 +112,7 @@ def run_jobs(
     return [results[index] for index in range(len(jobs))]
 
 
-def _run_numbered(numbered: tuple[int, Job]) -> dict[str, Any]:
-    return run_job(numbered[1])
+def _run_numbered(
+    work: Callable[[Job], dict[str, Any]], numbered: tuple[int, Job]
+) -> dict[str, Any]:
+    return work(numbered[1])

@@ -273,7 +273,8 @@ class Loop:
             turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
             turn.decision = Decision(STANDSTILL, turn.decision.phase)
             return
-        stage.controller.sense(self._backend.base.ranges())
+        if stage.controller.listens:
+            stage.controller.sense(self._backend.base.ranges())
         turn.decision = self._call(
             f"controller '{stage.controller_name}'",
             lambda: stage.controller.update(estimate, turn.control_time),

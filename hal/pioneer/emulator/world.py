@@ -6,11 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from hal.pioneer.subclasses import SonarPose
+from hal.pioneer.subclasses import NO_ECHO_M, SonarPose
 from hal.types import Pose
-
-#: Range that the firmware reports where nothing echoes (m).
-NO_ECHO_M = 5.0
 
 
 class World(Protocol):

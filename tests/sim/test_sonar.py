@@ -1,0 +1,59 @@
+"""Rays that stand for sonar, against the plan geometry of the scene."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hal.central_camera import load_camera
+from hal.pioneer.subclasses import NO_ECHO_M, Subclass, find_subclass, ring_of
+from hal.pioneer.telemetry import Echo, Telemetry
+from hal.types import Pose
+from robots import load_robot
+from sim.backend import SimBackend
+from sim.options import SimOptions
+from sim.scene import load_scene
+from sim.scene_world import SceneWorld
+
+SMALL_ROOM = str(Path(__file__).with_name("small_room.yaml"))
+CAMERA = load_camera("paracatadioptric").resized(200, 150)
+P3AT = load_robot("p3at")
+
+
+@pytest.mark.sim
+def test_ranges_are_those_of_the_plan_and_boxes_are_met() -> None:
+    start = Pose(0.2, -0.3, 0.1)
+    options = SimOptions.model_validate(
+        {"scene": SMALL_ROOM, "boxes": [{"x_m": 0.0, "y_m": 1.0}], "show_floor": False}
+    )
+    backend = SimBackend(
+        P3AT, CAMERA, CAMERA, P3AT.mount("centre"), start, P3AT.operating, options, 0, False
+    )
+    with backend:
+        found = backend.base.ranges()
+        axle = backend.truth()
+    assert axle is not None
+    scene = load_scene(SMALL_ROOM)
+    plan = SceneWorld(scene, P3AT)
+    ring = ring_of("p3at")
+    assert len(found) == len(ring) == 16
+    expected = np.array([plan.sonar(axle, pose) for pose in ring])
+    heard = np.minimum([reading.distance for reading in found], NO_ECHO_M)
+    ahead = [k for k, pose in enumerate(ring) if abs(pose.direction_rad) < 0.3]
+    aside = [k for k, pose in enumerate(ring) if abs(pose.direction_rad) > 0.9]
+    # The plan does not know of the box ahead.
+    assert np.all(heard[ahead] < 1.6)
+    assert np.all(expected[ahead] > 1.9)
+    np.testing.assert_allclose(heard[aside], expected[aside], atol=0.02)
+
+
+def test_a_sonar_reading_says_where_it_looks_and_old_ones_are_forgotten() -> None:
+    subclass: Subclass = find_subclass("p3dx-sh")
+    telemetry = Telemetry(subclass)
+    telemetry.echoes.update({0: Echo(1.2, 9.5), 3: Echo(NO_ECHO_M, 9.6), 7: Echo(0.8, 3.0)})
+    left, ahead = telemetry.ranges(since=9.0)
+    assert left.right == pytest.approx(-0.136)
+    assert left.bearing == pytest.approx(-math.pi / 2)
+    assert left.distance == 1.2
+    assert ahead.distance == math.inf
