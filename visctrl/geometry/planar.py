@@ -40,7 +40,7 @@ _MAX_NOISE, _USUAL_NOISE = 4.0, 10.0
 #: Standard deviations (rad) beyond which a motion counts as undetermined.
 _MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
 #: A step shorter than this part of a ray's noise ends a descent.
-_STILL = 1e-3
+_STILL = 1e-2
 #: After a step shorter than this many times a ray's noise, the next is Newton's.
 _NEAR = 10.0
 #: Variance of a direction of which nothing is known (uniform on the circle).
@@ -249,8 +249,8 @@ def squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
 def _linearise(a: Array, b: Array, phi: float, direction: float) -> _Linearised:
     theta, alpha = direction, direction + phi
     st, ct, sa, ca = np.sin(theta), np.cos(theta), np.sin(alpha), np.cos(alpha)
-    A, dA = a[:, 0] * ct - a[:, 1] * st, -a[:, 0] * st - a[:, 1] * ct
-    B, dB = b[:, 1] * sa - b[:, 0] * ca, b[:, 1] * ca + b[:, 0] * sa
+    A, dA = np.array([[ct, -st], [-st, -ct]]) @ a[:, :2].T
+    B, dB = np.array([[-ca, sa], [sa, ca]]) @ b[:, :2].T
     up = a[:, 2] ** 2 + b[:, 2] ** 2
     gradient2 = np.maximum(up + A * A + B * B, 1e-18)
     gradient = np.sqrt(gradient2)
