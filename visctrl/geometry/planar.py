@@ -297,9 +297,7 @@ def _descend(
     return phi, direction
 
 
-def _step(
-    linear: _Linearised, sigma: float, damping: float, newton: bool
-) -> tuple[float, float]:
+def _step(linear: _Linearised, sigma: float, damping: float, newton: bool) -> tuple[float, float]:
     """Return the damped step of (φ, θ): Newton's, or the shorter one of reweighted squares."""
     weights = _soft_l1_weights(linear.residual / sigma)
     # The kernel's own curvature is w³; far out that would overshoot.
