@@ -26,6 +26,8 @@ from visctrl.plugins import Health
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: Why a motion is degenerate: the baseline does not stand out of the noise.
+IDENTICAL = "views identical: the direction of the baseline is not determined"
 #: Fewer correspondences than this leave no residual to judge a motion by.
 MINIMUM_FEATURES = 4
 #: Scale of the soft-L1 kernel in standard deviations of the residual.
@@ -324,7 +326,7 @@ def _covariance(
     significance, direction_info = _direction_information(linear, weights, variance)
     if significance < _BASELINE_SIGNIFICANCE:
         alone = np.diag([1.0 / info[0, 0], _UNKNOWN_DIRECTION])
-        return alone, "views identical: the direction of the baseline is not determined"
+        return alone, IDENTICAL
     coupling = info[0, 1] / info[0, 0]
     v = 1.0 / max(direction_info - coupling * info[0, 1], 1e-12)
     covariance = np.array([[1.0 / info[0, 0] + coupling**2 * v, -coupling * v], [-coupling * v, v]])
