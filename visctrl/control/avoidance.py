@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Annotated
@@ -15,14 +15,15 @@ from pydantic import Field
 
 from hal.types import Pose, Range
 from robots.documents import Document
-from visctrl.control.paths import ParabolicPath, reachable
+from robots.errors import InputError
+from visctrl.control.paths import path_between, reachable
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0.0)]
 Point = tuple[float, float]
 
 #: Places tried for an intermediate goal: beside the obstacle, in units of the clearance.
-_ASIDE = (1.05, 1.3, 1.6, 2.0, 2.6)
+_ASIDE = (1.05, 1.3, 1.6, 2.0, 2.6, 3.4)
 _ALONG = (0.0, 0.5, -0.5, 1.0, -1.0, 1.6, 2.4)
 #: Two echoes nearer than this (m) are one obstacle.
 _SAME_M = 0.15
@@ -123,6 +124,20 @@ class EchoedObstacles(ObstacleProvider):
         return list(self._noticed)
 
 
+def refuse_blocked(
+    goals: Mapping[str, Point], listed: Sequence[ListedObstacle], clearance: float
+) -> None:
+    """Raise InputError where a goal, by name, is too near an obstacle of the scenario."""
+    for k, each in enumerate(listed):
+        for name, goal in goals.items():
+            free = float(each.obstacle.distance(np.array(goal)))
+            if free < clearance:
+                raise InputError(
+                    f"controller.obstacles.{k}: {name} is {max(free, 0.0):.2f} m from its edge "
+                    f"and needs {clearance:g} m (controller.clearance_m)"
+                )
+
+
 def blocking(points: Array, obstacles: Sequence[Obstacle], clearance: float) -> list[Obstacle]:
     """Return the obstacles that a way (K, 2) passes nearer than ``clearance`` (m).
 
@@ -137,11 +152,11 @@ def blocking(points: Array, obstacles: Sequence[Obstacle], clearance: float) -> 
 
 
 def way_round(
-    here: Point, goal: Point, obstacles: Sequence[Obstacle], clearance: float
+    here: Point, goal: Point, obstacles: Sequence[Obstacle], clearance: float, straight: float
 ) -> Point | None:
     """Return the intermediate goal of the shortest clear way to a goal, None if there is none.
 
-    Both parts are parabolas that end along the y axis, as the tracker drives them.
+    Both parts are paths that end along the y axis, as the tracker drives them (`path_between`).
 
     Parameters
     ----------
@@ -149,8 +164,10 @@ def way_round(
     obstacles : sequence of Obstacle
     clearance : float
         Of the camera's path from an obstacle's edge (m).
+    straight : float
+        Straight end of each path (m).
     """
-    direct = ParabolicPath(here, goal).points()
+    direct = path_between(here, goal, straight).points()
     in_the_way = blocking(direct, obstacles, clearance)
     best, shortest = None, math.inf
     for obstacle, aside, along, side in product(in_the_way, _ASIDE, _ALONG, (-1.0, 1.0)):
@@ -158,7 +175,8 @@ def way_round(
         between = (obstacle.x + side * aside * reach, obstacle.y + along * reach)
         if not (reachable(here, between) and reachable(between, goal)):
             continue
-        first, second = ParabolicPath(here, between), ParabolicPath(between, goal)
+        first = path_between(here, between, straight)
+        second = path_between(between, goal, straight)
         length = first.length + second.length
         if length >= shortest or blocking(first.points(), obstacles, clearance):
             continue

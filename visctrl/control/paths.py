@@ -89,6 +89,13 @@ class ParabolicPath:
         return self.goal[0] + lateral * ratio**2, 2.0 * lateral * ratio / span
 
 
+def path_between(
+    start: tuple[float, float], goal: tuple[float, float], straight: float
+) -> ParabolicPath:
+    """Return the path to a goal with a straight end of ``straight`` m, less on a short way."""
+    return ParabolicPath(start, goal, min(straight, 0.4 * abs(goal[1] - start[1])))
+
+
 class Demand(NamedTuple):
     """Largest values that following a path asks for when it takes one second.
 

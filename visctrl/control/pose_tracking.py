@@ -20,9 +20,17 @@ from visctrl.control.avoidance import (
     Obstacle,
     ObstacleProvider,
     blocking,
+    refuse_blocked,
     way_round,
 )
-from visctrl.control.paths import ParabolicPath, Reference, detour, path_demand, reachable
+from visctrl.control.paths import (
+    ParabolicPath,
+    Reference,
+    detour,
+    path_between,
+    path_demand,
+    reachable,
+)
 from visctrl.estimation.pose_estimate import Need, PoseEstimate
 from visctrl.plugins import Context, Controller, Decision, Signal
 
@@ -39,6 +47,8 @@ _STRAIGHT_M = 0.4
 _TURN_FROM, _TURN_TO = math.radians(100.0), math.radians(20.0)
 #: Standing for so long at most (s), the robot corrects its heading at the goal.
 _ALIGN_S = 4.0
+#: Share of the clearance under which a path under way counts as blocked.
+_TOLERATED = 0.85
 _ALIGNED_RAD = math.radians(0.15)
 
 
@@ -120,7 +130,7 @@ class _Stage:
         s, c = math.sin(initial.phi), math.cos(initial.phi)
         right, forward, _ = self.anchor
         x, y = initial.x + c * right - s * forward, initial.y + s * right + c * forward
-        return ParabolicPath((x, y), self.goal, min(self.straight, 0.4 * abs(self.goal[1] - y)))
+        return path_between((x, y), self.goal, self.straight)
 
 
 class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
@@ -155,7 +165,9 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
                     f"controller.{key}: {gain:g} 1/s is unstable with a period of "
                     f"{context.period_s:g} s: it must be under 2/Ts = {bound:g}"
                 )
-        self._refuse_blocked_goals()
+        goals = {"the target": (0.0, 0.0)}
+        goals |= {f"goals.{k}": (g.x_m, g.y_m) for k, g in enumerate(options.goals)}
+        refuse_blocked(goals, options.obstacles, options.clearance_m)
         self._providers: list[ObstacleProvider] = [ListedObstacles(options.obstacles)]
         if options.sonar_m > 0.0:
             self._providers.append(EchoedObstacles(options.sonar_m, context.camera_forward_m))
@@ -281,26 +293,16 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         right, forward, turn = relative_pose(point, estimate.initial).tolist()
         anchor = (right, forward, turn)
         stage = _Stage((goal[0], goal[1] + ahead), anchor, lever, tau)
-        straight = self.options.straight_m
-        if straight is None:
-            straight = max(_STRAIGHT_M, _STRAIGHT_LEVERS * abs(lever))
-        stage.straight = straight
+        stage.straight = self._straight(lever)
         return stage
 
-    # --- obstacles ---------------------------------------------------------------------------
+    def _straight(self, lever: float) -> float:
+        """Return the length of a path's straight end (m)."""
+        if self.options.straight_m is not None:
+            return self.options.straight_m
+        return max(_STRAIGHT_M, _STRAIGHT_LEVERS * abs(lever))
 
-    def _refuse_blocked_goals(self) -> None:
-        """Raise where a goal is too near an obstacle of the scenario."""
-        goals = [("the target", 0.0, 0.0)]
-        goals += [(f"goals.{k}", g.x_m, g.y_m) for k, g in enumerate(self.options.goals)]
-        for k, listed in enumerate(self.options.obstacles):
-            for name, x, y in goals:
-                free = float(listed.obstacle.distance(np.array([x, y])))
-                if free < self.options.clearance_m:
-                    raise InputError(
-                        f"controller.obstacles.{k}: {name} is {max(free, 0.0):.2f} m from its edge "
-                        f"and needs {self.options.clearance_m:g} m (controller.clearance_m)"
-                    )
+    # --- obstacles ---------------------------------------------------------------------------
 
     def _obstacles(self, pose: Pose) -> list[Obstacle]:
         return [o for source in self._providers for o in source.noticed(pose, self._ranges)]
@@ -312,15 +314,16 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         if not obstacles:
             return None
         clearance, here = self.options.clearance_m, (estimate.pose.x, estimate.pose.y)
-        stage = self._stage
+        straight, stage = self._straight(self.context.camera_forward_m), self._stage
         if self._halted is None:
             if stage is not None:
                 passed = min(stage.time / stage.tau, 1.0)
                 rest = stage.path(estimate.initial).points()
                 rest = rest[min(int(passed * len(rest)), len(rest) - 1) :]
             else:
-                rest = ParabolicPath(here, (goals[0].x_m, goals[0].y_m)).points()
-            if not blocking(rest, obstacles, clearance):
+                rest = path_between(here, (goals[0].x_m, goals[0].y_m), straight).points()
+            # What was planned with the whole clearance is not given up for a centimetre.
+            if not blocking(rest, obstacles, _TOLERATED * clearance):
                 return None
             self._halted = self._t
             if stage is not None:
@@ -329,7 +332,11 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         if self._t - self._halted < self.options.pause_s:
             return Decision(STANDSTILL, "stop")
         goal = (goals[0].x_m, goals[0].y_m)
-        between = way_round(here, goal, obstacles, clearance)
+        direct = path_between(here, goal, straight).points()
+        if not blocking(direct, obstacles, _TOLERATED * clearance):
+            self._halted = None
+            return None
+        between = way_round(here, goal, obstacles, clearance, straight)
         if between is None:
             return Decision(STANDSTILL, "blocked")
         self._halted = None

@@ -13,6 +13,7 @@ from robots.errors import InputError
 from robots.unicycle import wrap_angle
 from visctrl.geometry.epipolar import Epipole
 from visctrl.geometry.epipolar_planar import (
+    MINIMUM_FEATURES,
     ONE_PLANE,
     PlanarEpipoles,
     ransac_planar_epipoles,
@@ -20,6 +21,7 @@ from visctrl.geometry.epipolar_planar import (
     turned,
 )
 from visctrl.geometry.epipolar_robust import robust_essential, robust_fundamental
+from visctrl.geometry.horizon import find_horizon
 from visctrl.geometry.parallax import signed_parallax
 from visctrl.geometry.planar import (
     PlanarMotion,
@@ -82,19 +84,40 @@ class Calibrated:
 
 
 class Uncalibrated:
-    """Planar motion of a perspective camera whose focal length is a guess."""
+    """Planar motion of a perspective camera whose focal length is a guess.
+
+    horizon : height (for a unit focal length) of the horizon over its assumed row.
+    """
+
+    def __init__(self) -> None:
+        self.horizon = 0.0
+
+    def level(self, a: Array, b: Array, sigma: float, widest: float, seed: int) -> None:
+        """Find the horizon from rays (N, 3) of two views, at most ``widest`` off.
+
+        An uncertain one stays near the assumed row, half of ``widest`` being its deviation.
+        """
+        self.horizon = 0.0
+        if len(a) >= MINIMUM_FEATURES and widest > 0.0:
+            found = find_horizon(*self._points(a, b), sigma, widest, seed=seed)
+            prior = (widest / 2.0) ** 2
+            self.horizon = found.shift * prior / (prior + found.sd**2)
 
     def search(self, a: Array, b: Array, sigma: float, hypotheses: int, seed: int) -> PlanarMotion:
         """Return the motion that most of the rays (N, 3) agree with."""
-        a, b = _points(a, b)
-        return ransac_planar_epipoles(a, b, sigma, seed=seed, hypotheses=hypotheses)
+        points = self._points(a, b)
+        return ransac_planar_epipoles(*points, sigma, seed=seed, hypotheses=hypotheses)
 
     def refine(
         self, a: Array, b: Array, near: PlanarMotion, turns: tuple[float, float], sigma: float
     ) -> PlanarMotion:
         """Return the motion near one of before the views turned by ``turns`` (rad)."""
         assert isinstance(near, PlanarEpipoles)
-        return refine_planar_epipoles(*_points(a, b), turned(near.vector, *turns), sigma)
+        return refine_planar_epipoles(*self._points(a, b), turned(near.vector, *turns), sigma)
+
+    def _points(self, a: Array, b: Array) -> tuple[Array, Array]:
+        up = np.array([0.0, self.horizon])
+        return _points(a) - up, _points(b) - up
 
 
 class EightPoint:
@@ -110,7 +133,7 @@ class EightPoint:
     def search(self, a: Array, b: Array, sigma: float, hypotheses: int, seed: int) -> PlanarMotion:
         """Return the planar part of the general motion that most of the rays agree with."""
         if self._uncalibrated:
-            points = _points(a, b)
+            points = _points(a), _points(b)
             found = robust_fundamental(*points, sigma, seed=seed, max_hypotheses=hypotheses)
             e_a, e_b = (_upright(e) for e in (found.epipole_a, found.epipole_b))
         else:
@@ -218,7 +241,6 @@ class PairFollower:
         return motion
 
 
-def _points(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return (right, up)/forward of both views' rays."""
-    forward_a, forward_b = (np.maximum(rays[:, 1:2], _MIN_FORWARD) for rays in (a, b))
-    return a[:, [0, 2]] / forward_a, b[:, [0, 2]] / forward_b
+def _points(rays: Array) -> Array:
+    """Return (right, up)/forward of rays (N, 3)."""
+    return np.asarray(rays[:, [0, 2]] / np.maximum(rays[:, 1:2], _MIN_FORWARD))

@@ -14,7 +14,13 @@ from hal.types import Velocity
 from robots.documents import Document
 from visctrl.estimation.epipolar_location import LocationFilter
 from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
-from visctrl.estimation.epipole_pairs import Calibrated, PairFollower, Solver, solver_for
+from visctrl.estimation.epipole_pairs import (
+    Calibrated,
+    PairFollower,
+    Solver,
+    Uncalibrated,
+    solver_for,
+)
 from visctrl.geometry.epipolar_planar import ONE_PLANE
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
@@ -37,6 +43,9 @@ class EpipolesOptions(Document):
     slip : standard deviation of the executed motion as a fraction of the commanded one.
     aligned_after_s : when the "aligned robot" view is stored, in seconds since the reset; None
         stores it as soon as both epipoles towards the target stay within ``aligned_deg``.
+    horizon_deg : how far the horizon may lie off its row in the image (a wrong image centre, a
+        camera that pitches); it is found from the start and target views where the calibration
+        is left open. 0 trusts the row.
     reference_deg : the reference view moves with the robot until it sees the target this much
         off the target's axis, so that the depth can be told.
     """
@@ -48,6 +57,7 @@ class EpipolesOptions(Document):
     slip: Annotated[float, Field(ge=0)] = 0.05
     aligned_after_s: Annotated[float, Field(ge=0)] | None = None
     aligned_deg: Annotated[float, Field(gt=0)] = 2.0
+    horizon_deg: Annotated[float, Field(ge=0, le=10)] = 3.0
     reference_deg: Annotated[float, Field(ge=0)] = 10.0
 
 
@@ -89,6 +99,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         Signal("e32_bearing_sd", "rad"),
         Signal("e12_bearing_sd", "rad"),
         Signal("inverse_distance", "1/m"),
+        Signal("horizon", "1"),
     )
 
     def __init__(self, options: EpipolesOptions, context: Context) -> None:
@@ -108,6 +119,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         self._fixed: EpipolePair | None = None
         self._filter: LocationFilter | None = None
         self._followers: dict[str, PairFollower] = {}
+        self._levelled = False
         self._last = EpipoleEstimate(Health.LOST, "no view yet")
 
     def update(self, views: Views, sent: Velocity, dt: float) -> EpipoleEstimate:
@@ -121,6 +133,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
             self._last = EpipoleEstimate(Health.LOST, views.reason)
             return self._last
         sigma, turn = views.sigma, sent.omega * dt
+        self._level(views)
         target = self._pair("target", (views.current, views.target), sigma, (turn, 0.0))
         initial = self._pair("initial", self._reference_rays(views), sigma, (0.0, turn))
         if self._fixed is None or not self._fixed.usable(self.options.sd_limit_rad):
@@ -161,8 +174,18 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
                 found[f"{b}_sd"] = pair.sd_b * (1.0 + pair.epipole_b**2)
         if self._last.location is not None:
             found["inverse_distance"] = self._last.location.inverse_distance
+        if isinstance(self._solver, Uncalibrated):
+            found["horizon"] = self._solver.horizon
         names = {signal.name for signal in self.signals}
         return {name: value for name, value in found.items() if name in names}
+
+    def _level(self, views: Views) -> None:
+        """Find the horizon once, where the solver leaves it open."""
+        if self._levelled or not isinstance(self._solver, Uncalibrated):
+            return
+        self._levelled = True
+        widest = float(np.tan(np.radians(self.options.horizon_deg)))
+        self._solver.level(views.initial, views.target, views.sigma, widest, self.context.seed)
 
     # --- pairs ------------------------------------------------------------------------------
 
