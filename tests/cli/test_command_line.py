@@ -209,7 +209,7 @@ def test_the_module_is_the_program(environment: dict[str, str], tmp_path: Path) 
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 51
     ok, picture = video.read()
     assert ok
-    assert picture.shape == (600, 800, 3)
+    assert picture.shape == (600, 1400, 3), "the robot from above beside the image"
 
 
 def test_a_killed_run_leaves_a_readable_log(environment: dict[str, str], tmp_path: Path) -> None:

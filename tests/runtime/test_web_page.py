@@ -345,4 +345,5 @@ def test_clients_that_never_read_delay_no_tick(toy_plan: MakePlan) -> None:
     for client in stuck:
         client.close()
     assert outcome.summary["ticks"] == len(took) > 30
-    assert max(took) < 0.5
+    assert sorted(took)[len(took) // 2] < 0.01
+    assert max(took) < 2.0, "less than the 5 s for which a client is waited for"

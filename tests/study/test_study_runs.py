@@ -237,6 +237,11 @@ def test_the_parquet_table_is_the_csv_table(tmp_path: Path) -> None:
         (["study", "nois"], "unknown study 'nois'; known: .*did you mean 'noise'"),
         (["study", "missing.yaml"], "missing.yaml: no such file"),
         (["study", "noise", "--cluster", "127.0.0.1:1"], "--cluster 127.0.0.1:1: no Dask"),
+        (["study", "noise", "--cluster", "over there"], "--cluster over there: .*missing port"),
+        (
+            ["study", "noise", "--cluster", "host:1", "--workers", "2"],
+            "a cluster has its own workers",
+        ),
         (["study", "noise", "--out", "/dev/null/x"], "--out /dev/null/x: cannot be used"),
     ],
 )
@@ -248,7 +253,7 @@ def test_what_cannot_be_used_is_refused(
     message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    if "--cluster" in arguments:
+    if "--cluster" in arguments and "--workers" not in arguments:
         pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
         monkeypatch.setattr("visctrl.experiments.cluster.CONNECT_S", 0.5)
     assert run([*arguments, "-q"]) == 2

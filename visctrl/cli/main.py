@@ -152,6 +152,18 @@ def run_command(
             show_default=False,
         ),
     ] = None,
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help="Write run.mcap for the Foxglove app (extra viz).")
+    ] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Serve the Foxglove app during the run (extra viz).")
+    ] = False,
+    live_address: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Where: 127.0.0.1:8765 if left out.", show_default=False
+        ),
+    ] = None,
     record_images: Annotated[
         bool, typer.Option("--record-images", help="Keep every frame, for visctrl replay.")
     ] = False,
@@ -188,7 +200,11 @@ def run_command(
         record_images=record_images,
     )
     try:
-        watching = Watching(web=web_address or "" if web or web_address is not None else None)
+        watching = Watching(
+            web=web_address or "" if web or web_address is not None else None,
+            live=live_address or "" if live or live_address is not None else None,
+            mcap=mcap,
+        )
         code = run(
             scenario,
             overrides,

@@ -54,7 +54,9 @@ def run(
         Progress(console, plan, enabled=not quiet) as progress,
     ):
         observers = [progress, *outside.observers]
-        outcome = run_session(plan, directory, video=video, observers=observers, stop=outside.stop)
+        outcome = run_session(
+            plan, directory, video=video, mcap=watching.mcap, observers=observers, stop=outside.stop
+        )
         outside.finish(outcome)
     for note in outcome.notes:
         print(f"visctrl: {note}", file=sys.stderr)

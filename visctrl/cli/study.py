@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from robots.errors import InputError
 from visctrl.cli.study_progress import StudyProgress
 from visctrl.experiments.study_log import StudyLog
 from visctrl.experiments.study_runs import run_study, table_rows
@@ -82,6 +83,10 @@ def _workers(count: int | None, cluster: str | None) -> Iterator[Workers]:
     if cluster is None:
         yield LocalWorkers(count or default_workers())
         return
+    if count is not None:
+        raise InputError(
+            "--workers: a cluster has its own workers; leave --workers or --cluster out"
+        )
     from visctrl.experiments.cluster import ClusterWorkers
 
     with closing(ClusterWorkers(cluster)) as workers:

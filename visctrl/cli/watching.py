@@ -14,6 +14,7 @@ from visctrl.runtime.session import Outcome
 from visctrl.runtime.stop import StopRequest
 
 if TYPE_CHECKING:
+    from visctrl.report.viewer import ViewerStream
     from visctrl.web.server import WebPage
 
 
@@ -22,9 +23,13 @@ class Watching:
     """Who is to watch.
 
     web : address of the page, as the user wrote it; empty for the usual one, None for no page.
+    live : address for the Foxglove app, likewise.
+    mcap : write a file for it, too.
     """
 
     web: str | None = None
+    live: str | None = None
+    mcap: bool = False
 
 
 class Watchers:
@@ -34,6 +39,7 @@ class Watchers:
         self.observers: list[Observer] = []
         self.stop = StopRequest()
         self._pages: list[WebPage] = []
+        self._streams: list[ViewerStream] = []
 
     def add_page(self, plan: Plan, address: str) -> WebPage:
         """Make the page; it is served once it is entered."""
@@ -47,10 +53,26 @@ class Watchers:
         self._pages.append(page)
         return page
 
+    def add_stream(self, plan: Plan, address: str) -> ViewerStream:
+        """Serve the Foxglove app from now on."""
+        from visctrl.report.viewer import DEFAULT_PORT, ViewerStream
+        from visctrl.web.address import Address
+
+        option = "--live-address" if address else "--live"
+        where = Address.parse(address, DEFAULT_PORT, option)
+        stream = ViewerStream.to_viewers(plan, where.host, where.port, option)
+        self.observers.append(stream)
+        self._streams.append(stream)
+        return stream
+
     def finish(self, outcome: Outcome) -> None:
         """Tell those who watch how the run ended."""
         for page in self._pages:
             page.finish(outcome.summary["status"], outcome.summary["reason"])
+        for stream in self._streams:
+            if stream.problem or stream.given_up:
+                what = stream.problem or f"{stream.given_up} ticks were not shown"
+                print(f"visctrl: --live: {what}", file=sys.stderr)
 
 
 @contextmanager
@@ -62,9 +84,18 @@ def watchers(plan: Plan, watching: Watching) -> Iterator[Watchers]:
     InputError
         Something cannot be started.
     """
+    if watching.mcap:
+        from visctrl.report.viewer import require_viewer
+
+        require_viewer("--mcap")
     found = Watchers()
     with ExitStack() as stack:
         if watching.web is not None:
             page = stack.enter_context(found.add_page(plan, watching.web))
             print(f"visctrl: watch and stop the robot at {page.url}", file=sys.stderr, flush=True)
+        if watching.live is not None:
+            stream = found.add_stream(plan, watching.live)
+            stack.callback(stream.close)
+            url = f"ws://{stream.host}:{stream.port}"
+            print(f"visctrl: open {url} in the Foxglove app", file=sys.stderr, flush=True)
         yield found

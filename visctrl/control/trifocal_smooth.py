@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from hal.types import STANDSTILL, Velocity
@@ -43,6 +44,8 @@ _BLIND_SPEED, _KNOWN_SCALE = 0.2, 0.1
 _LONGEST_WAIT_M = 0.5
 #: Without any tensor the robot goes straight ahead no farther than this (m).
 _BLIND_LEG_M = 0.4
+#: A start this near to the target, in units of T_N, leaves only a turn to do.
+_THERE = 1e-3
 #: φ1 is read off a straight leg of this share of the initial distance.
 _PHI_1_LEG = 0.1
 #: Distances below this (m), or so many standard deviations of the lateral position, steer as if
@@ -129,6 +132,8 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             self._start = distance
         if self._start is not None and distance > _ASTRAY * self._start + _LEEWAY_M:
             return self._hold()
+        if self._start is None and float(np.hypot(*estimate.outputs)) < _THERE:
+            self._start, self._phase = distance, "settling"
         if self._phase == "approach":
             wanted = self._approach(seen, known)
         elif self._phase == "settling":

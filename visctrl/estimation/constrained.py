@@ -12,7 +12,7 @@ from visctrl.estimation.initial_from_bearings import InitialFromBearings
 from visctrl.estimation.initial_view import InitialView, InitialViewFilter
 from visctrl.estimation.scale import DeadReckoning, PathScale, Point
 from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
-from visctrl.geometry.planar import PlanarMotion, ransac_planar_motion
+from visctrl.geometry.planar import IDENTICAL, PlanarMotion, ransac_planar_motion
 from visctrl.geometry.trifocal import (
     T111,
     T112,
@@ -20,6 +20,7 @@ from visctrl.geometry.trifocal import (
     T122,
     FixedViews,
     Trilinear,
+    unit_bearings,
 )
 from visctrl.geometry.trifocal_fit import (
     Coupling,
@@ -42,6 +43,10 @@ DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
 CONTRADICTION, _RECONSIDER = 2.5, 10
+#: Bearings agree with those of the target within so many times what noise explains.
+_SAME_WITHIN = 2.0
+#: Mean length of the bearings' unit vectors beyond which they say too little (±17° and less).
+_CLUSTERED = 0.985
 _NOWHERE = Pose(0.0, 0.0, 0.0)
 
 
@@ -127,6 +132,9 @@ class ConstrainedFit(TensorMethod):
             if motion.health is Health.OK:
                 return InitialView.of(motion)
             reason = motion.reason
+            if _on_target(motion, views.initial, views):
+                # Bearings would find some motion too, with a baseline made of noise.
+                return self._turned_only(views)
         found = self._bearings.find(views, self._driven, self._turned)
         if isinstance(found, InitialView):
             return found
@@ -150,9 +158,15 @@ class ConstrainedFit(TensorMethod):
         ahead, and t_2 = 0.
         """
         motion = self._motion(views.current, views)
-        turned_only = identical_views(views.current, views.target, views.sigma)
+        turned_only = _on_target(motion, views.current, views) or identical_views(
+            views.current, views.target, views.sigma
+        )
         if motion.health is Health.LOST or not turned_only:
             reason = "views identical: initial and target, so no distance can be measured"
+            return Measurement.none(Health.DEGENERATE, reason)
+        middle = unit_bearings(views.target)[0].mean(axis=0)
+        if float(middle @ middle) > _CLUSTERED**2:
+            reason = "features clustered: too close together to tell whether this is the target"
             return Measurement.none(Health.DEGENERATE, reason)
         heading = -motion.phi
         tensor = np.zeros(8)
@@ -263,6 +277,16 @@ class ConstrainedFit(TensorMethod):
             inliers=inliers,
             spread=fit.spread,
         )
+
+
+def _on_target(motion: PlanarMotion, rays: Array, views: Views) -> bool:
+    """Return whether neither elevations nor, less sharply, bearings tell a view from the target.
+
+    Elevations alone say so too where all features are level with the camera.
+    """
+    return motion.reason == IDENTICAL and identical_views(
+        rays, views.target, _SAME_WITHIN * views.sigma
+    )
 
 
 def _rotated(vector: Point, angle: float) -> Point:

@@ -23,7 +23,7 @@ from visctrl.geometry.trifocal import (
     sampson_residuals,
     trilinear,
 )
-from visctrl.geometry.trifocal_fit import refine
+from visctrl.geometry.trifocal_fit import debiased_covariance, refine
 from visctrl.geometry.trifocal_solvers import (
     identical_views,
     linear_covariance,
@@ -113,7 +113,7 @@ class LinearFit(TensorMethod):
         z = solve_linear(relation)
         if self.options.method == "refined":
             fit = refine(relation, z, sigma)
-            return fit.z, fit.covariance
+            return fit.z, debiased_covariance(relation, fit, sigma)
         return z, linear_covariance(relation, z, sigma)
 
     def _initial_heading(self, views: Views) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from visctrl.estimation.constrained import ConstrainedFit
 from visctrl.estimation.estimates import TensorEstimate
 from visctrl.estimation.linear import LinearFit
 from visctrl.estimation.tensor_method import Measurement, TensorMethod, TensorOptions
-from visctrl.geometry.trifocal import ELEMENTS, normalised, normalised_covariance
+from visctrl.geometry.trifocal import ELEMENTS, T121, normalised, normalised_covariance
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
 _ELEMENT_SDS = tuple(f"{name}_sd" for name in ELEMENTS)
@@ -123,7 +123,10 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
     def _scale(self, measured: Measurement) -> tuple[float, float]:
         """Return T121 in metres and its standard deviation."""
         if self.options.scale == "given" or not math.isfinite(measured.scale_sd_m):
-            return self.options.scale_m, math.inf
+            # Its sign is known even then, where the initial view is.
+            known = self.options.method == "constrained"
+            sign = float(measured.tensor[T121]) if known else 1.0
+            return math.copysign(self.options.scale_m, sign), math.inf
         return measured.scale_m, measured.scale_sd_m
 
 

@@ -45,6 +45,7 @@ class ClusterWorkers:
     def __init__(self, address: str) -> None:
         try:
             import distributed
+            from distributed.comm import addressing
         except ImportError:
             raise InputError(
                 "--cluster needs Dask's distributed: pip install 'visctrl[cluster]'"
@@ -53,6 +54,9 @@ class ClusterWorkers:
         logging.getLogger("distributed").handlers = [logging.NullHandler()]
         self._address = address
         try:
+            # Checked here first: a client that fails on it takes long to give up.
+            split: Any = addressing.get_address_host_port
+            split(address)
             connect: Any = distributed.Client
             self._client = connect(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError, TypeError, ImportError) as error:

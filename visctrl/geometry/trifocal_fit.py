@@ -31,6 +31,8 @@ LONGEST_STEP = 0.3
 PACE = 1.5
 #: What keeps a singular matrix invertible, as a share of its size.
 TINY = 1e-12
+#: At least this share of a direction's information is taken for real.
+_LEAST_SHARE = 0.03
 #: A step this short, in standard deviations of the result, ends the iteration.
 CONVERGED = 0.02
 
@@ -108,6 +110,34 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
         weights,
         spread,
     )
+
+
+def debiased_covariance(relation: Trilinear, fit: Fit, sigma: float) -> Array:
+    """Return the covariance (k, k) of a fit without what noise alone adds to its information.
+
+    With a short baseline the residuals' derivatives are mostly noise themselves, which looks
+    like information: the first-order covariance is then several times too small. The expected
+    share of the noise is taken out, D = Σ w (j jᵀ − N), and the estimate's covariance is
+    D⁻¹ I D⁻¹ with the information I as it came.
+    """
+    noise = _noise(relation, fit.z, fit.weights * (sigma / fit.spread) ** 2)
+    values, vectors = np.linalg.eigh(_across(fit.information - noise, fit.z))
+    raw = np.einsum("ik,ij,jk->k", vectors, fit.information, vectors)
+    values = np.maximum(values, _LEAST_SHARE * raw)
+    # The smallest is the direction of z, which the residuals do not depend on.
+    order = np.argsort(np.abs(vectors.T @ fit.z))[:-1]
+    inverse = (vectors[:, order] / np.maximum(values[order], 1e-300)) @ vectors[:, order].T
+    return np.asarray(inverse @ fit.information @ inverse)
+
+
+def _noise(relation: Trilinear, z: Array, rows: Array) -> Array:
+    """Return Σ rows_n N_n (k, k), N_n the noise in residual n's derivatives per squared radian."""
+    slopes = relation.gradient @ z
+    square = np.maximum(np.sum(slopes**2, axis=0), 1e-24)
+    # The residual is one combination of the three directions, and known: it is taken out.
+    known = np.sum(slopes[..., None] * relation.gradient, axis=0)
+    noise = np.einsum("n,vni,vnj->ij", rows / square, relation.gradient, relation.gradient)
+    return np.asarray(noise - np.einsum("n,ni,nj->ij", rows / square**2, known, known))
 
 
 def view_of(z: Array) -> tuple[float, tuple[float, float]]:
@@ -188,6 +218,12 @@ def _spread(residual: Array, sigma: float) -> float:
     """Return the robust standard deviation of the residuals, at least ``sigma``."""
     middle = len(residual) // 2
     return max(sigma, 1.4826 * float(np.partition(np.abs(residual), middle)[middle]))
+
+
+def _across(matrix: Array, z: Array) -> Array:
+    """Return a symmetric matrix restricted to what is at right angles to z."""
+    across = np.eye(len(z)) - np.outer(z, z)
+    return np.asarray(across @ matrix @ across)
 
 
 def _inverse_across(information: Array, z: Array) -> Array:

@@ -136,17 +136,22 @@ def _compute(ticks: Ticks) -> Array:
 
 
 def _differences(named: Sequence[tuple[str, RunFiles]]) -> str:
-    """Return a table of the settings that are not the same in all runs."""
+    """Return tables of the settings that are not the same in all runs, or not in all runs."""
     flat = [dict(_flattened(run.config)) for _, run in named]
-    keys = list(dict.fromkeys(key for settings in flat for key in settings))
-    rows = []
+    keys = dict.fromkeys(key for settings in flat for key in settings)
+    shared: list[list[str]] = []
+    others: list[list[str]] = []
     for key in keys:
         values = [settings.get(key, "") for settings in flat]
-        if len(set(values)) > 1:
+        rows = shared if all(key in settings for settings in flat) else others
+        if rows is others or len(set(values)) > 1:
             rows.append([escape(key), *map(escape, values)])
-    if not rows:
-        return section("Settings that differ", "<p>None: the runs had the same settings.</p>")
-    return section("Settings that differ", table(("key", *(name for name, _ in named)), rows))
+    header = ("key", *(name for name, _ in named))
+    text = table(header, shared) if shared else "<p>None: the runs had the same settings.</p>"
+    found = section("Settings that differ", text)
+    if others:
+        found += section("Settings that only some runs have", table(header, others), closed=True)
+    return found
 
 
 def _flattened(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

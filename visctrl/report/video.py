@@ -1,20 +1,29 @@
-"""A video of what the camera sees, features marked, encoded beside the run."""
+"""A video of a run: what the camera sees with its tracks, and the robot from above."""
 
 from __future__ import annotations
 
 import threading
+from collections import deque
 from pathlib import Path
 from queue import Full, Queue
 
 import cv2
+import numpy as np
 
-from hal.central_camera import CentralCamera
+from hal.types import Pose
 from robots.errors import InputError
-from visctrl.report.frames import draw_frame
-from visctrl.runtime.records import Observer, TickRecord
+from visctrl.plugins import Array, Views
+from visctrl.report.frames import Image, draw_frame
+from visctrl.report.overhead import draw_overhead
+from visctrl.report.topview import Outline
+from visctrl.report.trace import Trace
+from visctrl.runtime.records import Observer, Setup, TickRecord
 
 #: Frames that may wait for the encoder.
 _BACKLOG = 32
+#: Length of the tracks (ticks).
+_TRAIL = 12
+_MOST_POSES = 1000
 
 
 class VideoWriter(Observer):
@@ -26,10 +35,8 @@ class VideoWriter(Observer):
     ----------
     path : Path
         The file.
-    camera : CentralCamera
-        Gives the size of frames without an image.
-    rate : float
-        Pictures a second.
+    setup : Setup
+        Of the run.
     lockstep : bool
         The run may wait for the encoder.
 
@@ -39,13 +46,19 @@ class VideoWriter(Observer):
         This OpenCV cannot write MP4 files.
     """
 
-    def __init__(self, path: Path, camera: CentralCamera, rate: float, *, lockstep: bool) -> None:
-        self._camera = camera
+    def __init__(self, path: Path, setup: Setup, *, lockstep: bool) -> None:
+        self._camera = setup.camera
+        self._outline = Outline.of(setup.robot, setup.mount)
         self._lockstep = lockstep
+        self._recent: deque[Views] = deque(maxlen=_TRAIL)
+        self._trace = Trace(_MOST_POSES)
         self._queue: Queue[TickRecord | None] = Queue(_BACKLOG)
         self.given_up = 0
         codec = cv2.VideoWriter.fourcc(*"mp4v")
-        self._file = cv2.VideoWriter(str(path), codec, rate, (camera.width, camera.height))
+        size = (setup.camera.width + setup.camera.height, setup.camera.height)
+        # The codec takes even sizes only.
+        self._size = (size[0] // 2 * 2, size[1] // 2 * 2)
+        self._file = cv2.VideoWriter(str(path), codec, setup.scenario.rate_hz, self._size)
         if not self._file.isOpened():
             raise InputError(f"--video: OpenCV cannot write {path}; run without --video")
         self._thread = threading.Thread(target=self._encode_all, name="video", daemon=True)
@@ -69,5 +82,27 @@ class VideoWriter(Observer):
 
     def _encode_all(self) -> None:
         while (record := self._queue.get()) is not None:
-            caption = f"{record.t:6.1f} s  {record.decision.phase or record.stage}"
-            self._file.write(draw_frame(record.frame, self._camera, record.views.pixels, caption))
+            self._file.write(self._draw(record))
+
+    def _draw(self, record: TickRecord) -> Image:
+        self._recent.append(record.views)
+        pose = record.truth or record.odometry.pose
+        self._trace.add(pose)
+        caption = f"{record.t:6.1f} s  {record.decision.phase or record.stage}"
+        seen = draw_frame(
+            record.frame, self._camera, record.views.pixels, caption, self._tracks(record.views)
+        )
+        target = Pose(0.0, 0.0, 0.0) if record.truth is not None else None
+        square = (self._camera.height, self._camera.height)
+        above = draw_overhead(square, self._trace.poses, pose, target, self._outline)
+        both = np.hstack([seen, above])[: self._size[1], : self._size[0]]
+        return np.ascontiguousarray(both)
+
+    def _tracks(self, newest: Views) -> list[Array]:
+        """Return where the features have been in the last ticks."""
+        ways: dict[int, list[Array]] = {int(name): [] for name in newest.ids}
+        for views in self._recent:
+            for name, pixel in zip(views.ids.tolist(), views.pixels, strict=True):
+                if name in ways:
+                    ways[name].append(pixel)
+        return [np.array(way) for way in ways.values()]

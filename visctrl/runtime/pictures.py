@@ -5,45 +5,51 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hal.central_camera import CentralCamera
 from hal.types import Frame
 from visctrl.plugins import Match
 from visctrl.report.tracks import TrackHistory
-from visctrl.runtime.recorder import FINAL, INITIAL, TARGET, VIDEO, RunDirectory
-from visctrl.runtime.records import Observer, TickRecord
+from visctrl.runtime.recorder import FINAL, INITIAL, MCAP, TARGET, VIDEO, RunDirectory
+from visctrl.runtime.records import Observer, Setup, TickRecord
 
 if TYPE_CHECKING:
-    from visctrl.report.tracks import TrackHistory
     from visctrl.report.video import VideoWriter
+    from visctrl.report.viewer import ViewerStream
 
 
 class Pictures(Observer):
-    """Target, initial and final view with their features and tracks, the report, the video.
+    """The views with their features and tracks, the report, and on demand video and MCAP file.
 
     The drawing libraries are imported when there is something to draw.
 
     Parameters
     ----------
-    camera : CentralCamera
-        Its size is the canvas of frames that carry no image.
+    setup : Setup
+        Of the run.
     directory : RunDirectory
         Where the pictures go.
     """
 
-    def __init__(self, camera: CentralCamera, directory: RunDirectory) -> None:
-        self._camera = camera
+    def __init__(self, setup: Setup, directory: RunDirectory) -> None:
+        self._setup = setup
         self._path = directory.path
         self._target: Frame | None = None
         self._initial: tuple[Frame, Match] | None = None
         self._last: TickRecord | None = None
         self._tracks = TrackHistory()
         self._video: VideoWriter | None = None
+        self._stream: ViewerStream | None = None
 
-    def start_video(self, rate: float, *, lockstep: bool) -> None:
-        """Write the frames of every tick as a video, too (see `VideoWriter`)."""
+    def start_video(self, *, lockstep: bool) -> None:
+        """Write every tick into a video, too (see `VideoWriter`)."""
         from visctrl.report.video import VideoWriter
 
-        self._video = VideoWriter(self._path / VIDEO, self._camera, rate, lockstep=lockstep)
+        self._video = VideoWriter(self._path / VIDEO, self._setup, lockstep=lockstep)
+
+    def start_mcap(self, *, lockstep: bool) -> None:
+        """Write every tick into a file for the Foxglove app, too (see `ViewerStream`)."""
+        from visctrl.report.viewer import ViewerStream
+
+        self._stream = ViewerStream.to_file(self._setup, self._path / MCAP, wait=lockstep)
 
     def on_target(self, frames: Sequence[Frame]) -> None:
         """Keep a frame of the target view."""
@@ -60,12 +66,30 @@ class Pictures(Observer):
         self._tracks.add(record.views)
         if self._video is not None:
             self._video.on_tick(record)
+        if self._stream is not None:
+            self._stream.on_tick(record)
 
-    def finish(self) -> str:
+    def close(self) -> list[str]:
+        """Finish video and MCAP file; return what the user should know of them."""
+        notes = []
+        if self._video is not None:
+            self._video.close()
+            if missing := self._video.given_up:
+                notes.append(f"{missing} frames are missing in the video")
+        if self._stream is not None:
+            self._stream.close()
+            if missing := self._stream.given_up:
+                notes.append(f"{missing} ticks are missing in {MCAP}")
+            if self._stream.problem:
+                notes.append(f"{MCAP}: {self._stream.problem}")
+        self._video = self._stream = None
+        return notes
+
+    def finish(self) -> list[str]:
         """Draw everything that there is to draw; return what the user should know of it."""
-        note = self._finish_video()
+        notes = self.close()
         if self._target is None or self._initial is None or self._last is None:
-            return note
+            return notes
         from visctrl.report.frames import draw_frame, save_picture
 
         initial, match = self._initial
@@ -77,19 +101,12 @@ class Pictures(Observer):
             (INITIAL, initial, match.initial_pixels, f"initial: {count}", tracks),
             (FINAL, last.frame, last.views.pixels, f"final: {len(last.views)} features", tracks),
         ):
-            picture = draw_frame(frame, self._camera, pixels, caption, ways)
+            picture = draw_frame(frame, self._setup.camera, pixels, caption, ways)
             save_picture(self._path / name, picture)
-        return note
+        return notes
 
     def report(self) -> None:
         """Write the report, from the files of the run: all of them must have been written."""
         from visctrl.report.run_report import write_report
 
         write_report(self._path)
-
-    def _finish_video(self) -> str:
-        if self._video is None:
-            return ""
-        self._video.close()
-        missing = self._video.given_up
-        return f"{missing} frames are missing in the video" if missing else ""

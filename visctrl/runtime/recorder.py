@@ -20,8 +20,8 @@ from visctrl.runtime.records import STAGES, Observer, TickRecord
 
 TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
 TARGET, INITIAL, FINAL, REPORT = "target.png", "initial.png", "final.png", "report.html"
-VIDEO, FAULT, IMAGES = "video.mp4", "fault.txt", "images"
-FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, REPORT, VIDEO, FAULT)
+VIDEO, MCAP, FAULT, IMAGES = "video.mp4", "run.mcap", "fault.txt", "images"
+FILES = (TICKS, TRAJECTORY, SUMMARY, CONFIG, TARGET, INITIAL, FINAL, REPORT, VIDEO, MCAP, FAULT)
 
 _MS = 1000.0
 #: Ticks that may wait to be written; with more, they are given up.

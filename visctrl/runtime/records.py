@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
+from hal.central_camera import CentralCamera
 from hal.types import Frame, Odometry, Pose, Velocity
+from robots import Robot
+from robots.model import Mount
+from visctrl.config import Scenario
 from visctrl.plugins import Decision, Estimate, Match, Views
 from visctrl.runtime.scheduler import Tick
 
@@ -13,6 +18,26 @@ from visctrl.runtime.scheduler import Tick
 STAGES = ("frame", "perception", "estimation", "control", "command", "record")
 #: The parts that plugins do.
 COMPUTE = ("perception", "estimation", "control")
+
+
+class Setup(Protocol):
+    """What is known before the first tick: a `Plan` is one."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was asked for."""
+
+    @property
+    def robot(self) -> Robot:
+        """Which robot."""
+
+    @property
+    def mount(self) -> Mount:
+        """Where it carries its camera."""
+
+    @property
+    def camera(self) -> CentralCamera:
+        """The camera's calibration."""
 
 
 @dataclass(frozen=True, slots=True)

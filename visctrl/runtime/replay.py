@@ -11,8 +11,9 @@ from typing import Any, TypeVar
 
 from hal.central_camera import CentralCamera
 from hal.types import Frame, Odometry
-from robots import load_robot
+from robots import Robot, load_robot
 from robots.errors import InputError, VisctrlError
+from robots.model import Mount
 from visctrl.config import LoadedScenario, Override, Scenario, load_scenario, to_yaml
 from visctrl.plugins import Context, Decision, Estimator, Perception, Plugin
 from visctrl.runtime.images import INITIAL
@@ -48,6 +49,8 @@ class ReplayPlan:
     """
 
     scenario: Scenario
+    robot: Robot
+    mount: Mount
     camera: CentralCamera
     context: Context
     perception: Chosen[Perception[Any]]
@@ -97,10 +100,11 @@ def plan_replay(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> 
     scheme = scheme_named(scenario.scheme)
     camera = chosen_camera(scenario.camera)
     robot = load_robot(scenario.robot)
+    mount = robot.mount(scenario.camera.mount or scheme.mount)
     context = Context(
         camera=camera,
         limits=effective_limits(robot, scenario.safety, loaded.origin_of("safety")),
-        camera_forward_m=robot.mount(scenario.camera.mount or scheme.mount).forward_m,
+        camera_forward_m=mount.forward_m,
         period_s=1.0 / scenario.rate_hz,
         seed=scenario.seed,
         lockstep=True,
@@ -112,7 +116,8 @@ def plan_replay(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> 
     perception = choose(
         loaded, registries.perception, scenario.perception, scheme.perception, ("perception",)
     )
-    return ReplayPlan(scenario, camera, context, perception, {"main": main, "approach": turn})
+    estimators = {"main": main, "approach": turn}
+    return ReplayPlan(scenario, robot, mount, camera, context, perception, estimators)
 
 
 def replay(
@@ -195,10 +200,10 @@ class _Replay:
         if self._directory is None:
             return
         self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
-        self._pictures = Pictures(self._plan.camera, self._directory)
+        self._pictures = Pictures(self._plan, self._directory)
         self._observers.append(self._pictures)
         if self._video:
-            self._pictures.start_video(self._plan.scenario.rate_hz, lockstep=True)
+            self._pictures.start_video(lockstep=True)
         named: list[tuple[str, Plugin[Any]]] = [(self._plan.perception.name, self._perception)]
         for stage, estimator in self._estimators.items():
             named.append((self._plan.estimators[stage].name, estimator))

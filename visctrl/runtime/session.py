@@ -56,6 +56,7 @@ def run_session(
     out: Path | None = None,
     *,
     video: bool = False,
+    mcap: bool = False,
     observers: Sequence[Observer] = (),
     stop: StopRequest | None = None,
 ) -> Outcome:
@@ -68,7 +69,9 @@ def run_session(
     out : Path or None
         Run directory; None writes nothing.
     video : bool
-        Also write an MP4 of the camera's images.
+        Also write an MP4 of the camera's images and the robot from above.
+    mcap : bool
+        Also write a file for the Foxglove app.
     observers : sequence of Observer
         Told about everything that happens.
     stop : StopRequest or None
@@ -80,7 +83,7 @@ def run_session(
         Something cannot be used, found before the robot was told anything. Nothing is left
         behind. Every other failure is an `Outcome`.
     """
-    return _Session(plan, out, video, observers, stop or StopRequest()).run()
+    return _Session(plan, out, (video, mcap), observers, stop or StopRequest()).run()
 
 
 class _Session:
@@ -88,7 +91,7 @@ class _Session:
         self,
         plan: Plan,
         out: Path | None,
-        video: bool,
+        extras: tuple[bool, bool],
         observers: Sequence[Observer],
         stop: StopRequest,
     ) -> None:
@@ -96,13 +99,13 @@ class _Session:
         self._stop_request = stop
         self._directory = RunDirectory(out) if out is not None else None
         self._meter = Meter()
-        self._video = video
+        self._video, self._mcap = extras
         self._observers: list[Observer] = [self._meter, *observers]
         self._recorder: Recorder | None = None
         self._pictures: Pictures | None = None
         self._images: ImageRecorder | None = None
         if self._directory is not None:
-            self._pictures = Pictures(plan.camera, self._directory)
+            self._pictures = Pictures(plan, self._directory)
             self._observers.append(self._pictures)
             if plan.scenario.record_images:
                 self._images = ImageRecorder(self._directory.path, plan.camera)
@@ -125,6 +128,8 @@ class _Session:
                     self._recorder.close()
                 if self._images is not None:
                     self._images.close()
+                if self._pictures is not None:
+                    self._pictures.close()
                 if self._directory is not None:
                     self._directory.discard()
                 raise
@@ -222,7 +227,9 @@ class _Session:
         if self._directory is None or self._pictures is None:
             return
         if self._video:
-            self._pictures.start_video(self._plan.scenario.rate_hz, lockstep=lockstep)
+            self._pictures.start_video(lockstep=lockstep)
+        if self._mcap:
+            self._pictures.start_mcap(lockstep=lockstep)
         named: list[tuple[str, Reporting]] = [(self._plan.perception.name, perception)]
         for stage in stages:
             named.append((stage.estimator_name, stage.estimator))
@@ -321,8 +328,8 @@ class _Session:
             self._attempt("the report could not be written", self._pictures.report)
 
     def _draw(self) -> None:
-        if self._pictures is not None and (note := self._pictures.finish()):
-            self._notes.append(note)
+        if self._pictures is not None:
+            self._notes += self._pictures.finish()
 
 
 def _call(who: str, work: Callable[[], T]) -> T:

@@ -25,6 +25,8 @@ OPTION = "--web-address"
 
 #: A browser that does not read or write for so long is let go (s).
 _PATIENCE_S = 5.0
+#: Between two requests on one connection (s).
+_PAUSE_S = 0.02
 #: Browsers at a time, each with a few connections.
 _MOST_CONNECTIONS = 24
 #: How long the page stays for its watchers to see how the run ended, and who is one (s).
@@ -165,6 +167,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def handle_one_request(self) -> None:
         super().handle_one_request()
+        # Whoever asks without a pause gets no more of the processor than a page needs.
+        time.sleep(_PAUSE_S)
         if self.server.closed:
             self.close_connection = True
 

@@ -10,15 +10,13 @@ from typing import Any
 
 import cv2
 
-from hal.types import Frame, Pose
+from hal.types import Frame
 from robots import Robot
 from robots.model import Mount
 from visctrl.plugins import Health, Match
-from visctrl.runtime.plan import Plan
-from visctrl.runtime.records import STAGES, Observer, TickRecord
+from visctrl.report.trace import Trace
+from visctrl.runtime.records import STAGES, Observer, Setup, TickRecord
 
-#: A new point of the path after so much way (m) or turn (rad).
-_EVERY = (0.01, math.radians(2.0))
 _MOST_POINTS = 4000
 _MOST_EVENTS = 30
 _JPEG_QUALITY = 75
@@ -32,29 +30,27 @@ class LiveView(Observer):
 
     Parameters
     ----------
-    plan : Plan
+    setup : Setup
         Of the run.
     """
 
-    def __init__(self, plan: Plan) -> None:
-        scenario = plan.scenario
+    def __init__(self, setup: Setup) -> None:
+        scenario = setup.scenario
         self._about = {
             "title": scenario.title or f"{scenario.scheme} on {scenario.backend}",
             "scheme": scenario.scheme,
             "backend": scenario.backend,
-            "size": [plan.camera.width, plan.camera.height],
-            "outline": _outline(plan.robot, plan.mount),
+            "size": [setup.camera.width, setup.camera.height],
+            "outline": _outline(setup.robot, setup.mount),
             "duration_s": scenario.duration_s,
-            "period_ms": _MS * plan.period_s,
+            "period_ms": _MS / scenario.rate_hz,
         }
         self._lock = threading.Lock()
         self._message = "starting"
         self._record: TickRecord | None = None
         self._waiting: Frame | None = None
         self._missed = 0
-        self._path: list[Pose] = []
-        self._edition = 0
-        self._spacing = 1.0
+        self._trace = Trace(_MOST_POINTS)
         self._events: deque[tuple[float, str]] = deque(maxlen=_MOST_EVENTS)
         self._end: dict[str, str] | None = None
         self._jpeg: tuple[Frame | None, bytes] = (None, b"")
@@ -81,7 +77,7 @@ class LiveView(Observer):
         with self._lock:
             if record.event and (not self._events or self._events[-1][1] != record.event):
                 self._events.append((record.t, record.event))
-            self._lengthen(record.truth or record.odometry.pose)
+            self._trace.add(record.truth or record.odometry.pose)
 
     def finish(self, status: str, reason: str) -> None:
         """Say how the run has ended."""
@@ -107,13 +103,14 @@ class LiveView(Observer):
             Which edition of the path the caller has, and how many of its points.
         """
         with self._lock:
-            first = known if edition == self._edition else 0
-            path = [[round(value, 4) for value in pose] for pose in self._path[first:]]
+            trace = self._trace
+            first = known if edition == trace.edition else 0
+            path = [[round(value, 4) for value in pose] for pose in trace.poses[first:]]
             found: dict[str, Any] = {
                 "message": self._message,
                 "missed": self._missed,
                 "events": list(self._events),
-                "path": {"edition": self._edition, "from": first, "points": path},
+                "path": {"edition": trace.edition, "from": first, "points": path},
                 "end": self._end,
             }
         record = self._record
@@ -131,21 +128,6 @@ class LiveView(Observer):
                 _, data = cv2.imencode(".jpg", frame.image, quality)
                 self._jpeg = (frame, data.tobytes())
             return frame.sequence, self._jpeg[1]
-
-    def _lengthen(self, pose: Pose) -> None:
-        """Add a point to the path if the robot has moved; with too many, keep every second."""
-        if not all(map(math.isfinite, pose)):
-            return
-        if self._path:
-            last = self._path[-1]
-            way = math.dist(pose[:2], last[:2]) / _EVERY[0]
-            if way + abs(pose.phi - last.phi) / _EVERY[1] < self._spacing:
-                return
-        self._path.append(pose)
-        if len(self._path) > _MOST_POINTS:
-            del self._path[1::2]
-            self._spacing *= 2.0
-            self._edition += 1
 
 
 def _outline(robot: Robot, mount: Mount) -> dict[str, float]:
