@@ -43,6 +43,8 @@ _MAX_NOISE, _USUAL_NOISE = 4.0, 10.0
 _MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
 #: A step shorter than this part of a ray's noise ends a descent.
 _STILL = 1e-2
+#: After a step shorter than this many times a ray's noise, the next is Newton's.
+_NEAR = 10.0
 #: Variance of a direction of which nothing is known (uniform on the circle).
 _UNKNOWN_DIRECTION = np.pi**2 / 3.0
 
@@ -276,9 +278,9 @@ def _descend(
     """Return the (φ, θ) that Levenberg–Marquardt reaches from ``start``."""
     phi, direction = start
     linear = _linearise(a, b, phi, direction)
-    cost, damping = _soft_l1_cost(linear.residual / sigma), 1e-3
+    cost, damping, newton = _soft_l1_cost(linear.residual / sigma), 1e-3, False
     for _ in range(iterations):
-        step_phi, step_direction = _step(linear, sigma, damping)
+        step_phi, step_direction = _step(linear, sigma, damping, newton)
         longest = max(abs(step_phi), abs(step_direction))
         # A direction without information must not jump round the circle.
         shorter = min(1.0, 0.5 / max(longest, 1e-12))
@@ -288,20 +290,20 @@ def _descend(
         if trial_cost > cost:
             if longest < _STILL * sigma:
                 break
-            damping = max(damping, 1e-6) * 10.0
+            damping, newton = max(damping, 1e-6) * 10.0, False
             continue
         (phi, direction), linear, cost = ahead, trial, trial_cost
-        damping *= 0.1
+        damping, newton = damping * 0.1, longest < _NEAR * sigma
         if longest < _STILL * sigma:
             break
     return phi, direction
 
 
-def _step(linear: _Linearised, sigma: float, damping: float) -> tuple[float, float]:
-    """Return the damped Newton step of (φ, θ)."""
+def _step(linear: _Linearised, sigma: float, damping: float, newton: bool) -> tuple[float, float]:
+    """Return the damped step of (φ, θ): Newton's, or the shorter one of reweighted squares."""
     weights = _soft_l1_weights(linear.residual / sigma)
     # The kernel's own curvature is w³; far out that would overshoot.
-    curvature = weights * np.maximum(weights * weights, 0.5)
+    curvature = weights * np.maximum(weights * weights, 0.5) if newton else weights
     J = linear.jacobian
     H = (J * curvature[:, None]).T @ J
     g = (weights * linear.residual) @ J
