@@ -35,7 +35,8 @@ def test_a_run_with_many_faults_arrives_and_its_files_stay_small(
 def test_runs_with_faults_that_none_survives_end_as_runs_may(
     soak: ModuleType, tmp_path: Path
 ) -> None:
-    found = soak.soak_many(0.03, 0, tmp_path)
+    # Of seed 2's six runs some arrive, one loses its features and one its line.
+    found = soak.soak_many(0.03, 2, tmp_path)
     assert found["wrong"] == []
-    assert set(found["ends"]) > {"reached"}
+    assert set(found["ends"]) == {"reached", "lost", "fault"}
     assert (found["files_left_open"], found["threads_left"]) == (0, 0)
