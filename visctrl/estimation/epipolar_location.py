@@ -27,6 +27,9 @@ _LINE_FLOOR = 2e-4
 #: estimate follows the newest lines within a few ticks. The noise of the fixed views is the same
 #: in all of them: a longer memory gains nothing, and at the target the newest are unbiased.
 _FORGETTING = 0.1
+#: Share of a turn, and drift a tick (rad), by which a turn seen through a lens of unknown focal
+#: length may differ from the one that was sent: the heading follows the images.
+_LOOSE_TURN = (0.7, 5e-3)
 #: Sine of the angle between the two lines below which they do not meet in a point.
 _MIN_CROSSING = 0.02
 
@@ -51,6 +54,8 @@ class LocationFilter:
         The camera ahead of the axle (m).
     slip : float
         Standard deviation of the executed motion as a fraction of the commanded one.
+    metric : bool
+        Whether the camera is calibrated, so that its turns are those of the wheels.
     """
 
     def __init__(
@@ -60,9 +65,11 @@ class LocationFilter:
         inverse_distance_sd: float,
         camera_forward_m: float,
         slip: float,
+        metric: bool = True,
     ) -> None:
         self._offset = camera_forward_m
         self._slip = slip
+        self._turn_slip, self._turn_drift = (slip, 1e-4) if metric else _LOOSE_TURN
         self._phi1 = float(wrap_angle(-fixed.turn))
         #: World direction (rad) of the target seen from the reference view.
         self.psi1 = float(wrap_angle(self._phi1 - fixed.bearing_a))
@@ -84,8 +91,8 @@ class LocationFilter:
         self._x[:2] += w * moved[:2]
         self._x[2] = float(moved[2])
         way = (self._slip * w) ** 2 * float(moved[:2] @ moved[:2])
-        turn = (self._slip * sent.omega * dt) ** 2
-        self._P = F @ self._P @ F.T + np.diag([way + 1e-10, way + 1e-10, turn + 1e-8, 0.0])
+        turn = (self._turn_slip * sent.omega * dt) ** 2 + self._turn_drift**2
+        self._P = F @ self._P @ F.T + np.diag([way + 1e-10, way + 1e-10, turn, 0.0])
         for name in self._fresh:
             across = _FORGETTING * self._lines[name].sd * self._lines[name].normal
             self._P[:2, :2] += np.outer(across, across)

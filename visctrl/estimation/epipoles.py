@@ -232,7 +232,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
 
     def _filter_from(self, fixed: EpipolePair, guess: float, sd: float) -> LocationFilter:
         ahead, slip = self.context.camera_forward_m, self.options.slip
-        return LocationFilter(fixed, guess, sd, ahead, slip)
+        return LocationFilter(fixed, guess, sd, ahead, slip, self._metric)
 
     def _move_reference(self, views: Views, target: EpipolePair, old: LocationFilter) -> None:
         """Take the current view as the reference if the old one lies on the target's axis."""
