@@ -55,7 +55,7 @@ class EpipolarSmoothOptions(Document):
     rate : λ without a duration (1/s).
     max_rate : bound of λ (1/s).
     shape : k, how much faster the direction shrinks than the distance.
-    turn_gain : of the heading error (1/s).
+    turn_gain : of the heading error (1/s); twice that at the target.
     ramp_s : the approach starts this slowly.
     fade : distance, in units of the first one, below which ψ no longer counts.
     distance_m : rough distance to the target, a bound on the speed until motion has shown it.
@@ -153,7 +153,9 @@ class EpipolarSmooth(Controller[EpipolarSmoothOptions, EpipoleEstimate]):
         # Far away the target stays ahead; near it, one that was passed is backed up to.
         rate *= fade * max(math.cos(q), _LEAST_COSINE) + (1.0 - fade) * math.cos(q)
         v = rate * now.rho / self._inverse_distance(location)
-        omega = -slope * fade * rate * math.sin(q) - o.turn_gain * error
+        # At the target only the heading is left to settle, and a wrong focal length may shrink it.
+        gain = o.turn_gain * (2.0 - fade)
+        omega = -slope * fade * rate * math.sin(q) - gain * error
         self._values |= {"bearing": q, "heading_error": error, "rate": rate}
         return Velocity(v, omega)
 

@@ -200,7 +200,7 @@ def figure_2_11(bench: Bench) -> list[Row]:
         found = errors(summary)
         ends[parameter].setdefault(law, {})[value] = found
         case = f"{parameter} {value:g} {law}"
-        bound = named(10.0, 10.0, 0.5)
+        bound = named(10.0, 10.0, 0.1)
         rows.append(at_most(case, bound, found) if law == SMOOTH else Row(case, {}, found, True))
     plot_sweeps(bench.out, ends, f"final errors from {start_name(WRONG_START)}")
     shown = {f"{p} {v:g} {law}": job for law, p, v, job in cases if v in (2.0, 10.0)}
