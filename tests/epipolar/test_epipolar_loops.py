@@ -102,9 +102,12 @@ def test_omnidirectional_cameras(start: Start, camera: str) -> None:
 @pytest.mark.parametrize("camera", ["paracatadioptric", "fisheye"])
 def test_noise_costs_an_omnidirectional_far_start_little(camera: str) -> None:
     """By the epipoles' lines alone it is 3 to 10 cm: they meet at a flat angle."""
-    run = smooth((-4, -14, 0), 20.0, load_camera(camera), noise_px=0.5, seed=3)
-    assert np.abs(run.error[:2]).max() <= 1.5
-    assert abs(run.error[2]) <= 0.5
+    runs = (
+        smooth((-4, -14, 0), 20.0, load_camera(camera), noise_px=0.5, seed=seed) for seed in (3, 4)
+    )
+    errors = np.abs([run.error for run in runs])
+    assert errors[:, :2].max() <= 1.5
+    assert errors[:, 2].mean() <= 0.4
 
 
 @pytest.mark.parametrize(
