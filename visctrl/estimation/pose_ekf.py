@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from hal.types import Pose, Velocity
 from robots.documents import Document
 from robots.unicycle import compose
-from visctrl.estimation.pose_estimate import Need, PoseEstimate
+from visctrl.estimation.pose_estimate import POSE_SIGNALS, Need, PoseEstimate
 from visctrl.estimation.pose_forward import ForwardLeg, InitialAverage
 from visctrl.estimation.pose_initial import initial_by_essential, initial_by_tensor
 from visctrl.estimation.pose_kalman import ExtendedPoseFilter, PoseFilter, UnscentedPoseFilter
@@ -122,16 +122,7 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
     """Drives a first leg, finds C1, then filters (x, y, φ) as if C1 were exact."""
 
     Options: ClassVar[type[EkfOptions]] = EkfOptions
-    signals: ClassVar[tuple[Signal, ...]] = (
-        Signal("nis", "1"),
-        Signal("nis_dof", "1"),
-        Signal("x", "m"),
-        Signal("y", "m"),
-        Signal("phi", "rad"),
-        Signal("x_sd", "m"),
-        Signal("y_sd", "m"),
-        Signal("phi_sd", "rad"),
-    )
+    signals: ClassVar[tuple[Signal, ...]] = POSE_SIGNALS
 
     def __init__(self, options: EkfOptions, context: Context) -> None:
         super().__init__(options, context)

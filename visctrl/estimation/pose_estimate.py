@@ -9,9 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.types import Pose
-from visctrl.plugins import Estimate, Health
+from visctrl.plugins import Estimate, Health, Signal
 
 Array = NDArray[np.float64]
+
+#: What every pose estimator logs: NIS and its degrees of freedom, the pose, its deviations.
+POSE_SIGNALS = (
+    Signal("nis", "1"),
+    Signal("nis_dof", "1"),
+    Signal("x", "m"),
+    Signal("y", "m"),
+    Signal("phi", "rad"),
+    Signal("x_sd", "m"),
+    Signal("y_sd", "m"),
+    Signal("phi_sd", "rad"),
+)
 
 
 class Need(StrEnum):

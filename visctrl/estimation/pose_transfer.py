@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from hal.types import Velocity
 from robots.documents import Document
-from visctrl.estimation.pose_estimate import Need, PoseEstimate
+from visctrl.estimation.pose_estimate import POSE_SIGNALS, Need, PoseEstimate
 from visctrl.estimation.pose_filter import CORE, Innovation, TransferFilter
 from visctrl.estimation.pose_forward import ForwardLeg
 from visctrl.estimation.pose_leg import Leg
@@ -67,17 +67,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     """Stands, drives a first leg, then filters; see `TransferFilter`."""
 
     Options: ClassVar[type[TransferOptions]] = TransferOptions
-    signals: ClassVar[tuple[Signal, ...]] = (
-        Signal("nis", "1"),
-        Signal("nis_dof", "1"),
-        Signal("x", "m"),
-        Signal("y", "m"),
-        Signal("phi", "rad"),
-        Signal("x_sd", "m"),
-        Signal("y_sd", "m"),
-        Signal("phi_sd", "rad"),
-        Signal("features_used", "1"),
-    )
+    signals: ClassVar[tuple[Signal, ...]] = (*POSE_SIGNALS, Signal("features_used", "1"))
 
     def __init__(self, options: TransferOptions, context: Context) -> None:
         super().__init__(options, context)

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from visctrl.experiments.image_motion import draw_motion
+from visctrl.experiments.pages import page, saved
 from visctrl.report.ticks import Ticks, read_ticks
 
 #: Panels over time: title, column of ``ticks.csv``, factor.
@@ -36,7 +35,7 @@ Sweep = Mapping[float, Mapping[str, float]]
 
 def plot_runs(out: Path, runs: Mapping[str, Path | None], title: str) -> Path:
     """Draw recorded runs, by what the legend calls them, and return ``out/runs.png``."""
-    figure = _page(title, 16.0, 10.0)
+    figure = page(title, 16.0, 10.0)
     axes = figure.subplots(3, 4).ravel()
     for label, directory in runs.items():
         if directory is not None:
@@ -54,7 +53,7 @@ def plot_runs(out: Path, runs: Mapping[str, Path | None], title: str) -> Path:
     axes[-1].legend(handles, labels, loc="center", fontsize="medium")
     for axis in axes[1 + len(_PANELS) :]:
         axis.axis("off")
-    return _saved(figure, out / "runs.png")
+    return saved(figure, out / "runs.png")
 
 
 def plot_motion(out: Path, runs: Mapping[str, Path | None], title: str) -> Path:
@@ -64,14 +63,14 @@ def plot_motion(out: Path, runs: Mapping[str, Path | None], title: str) -> Path:
     """
     columns = min(len(runs), _COLUMNS)
     rows = -(-len(runs) // columns)
-    figure = _page(title, 5.5 * columns, 4.7 * rows)
+    figure = page(title, 5.5 * columns, 4.7 * rows)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis, (label, directory) in zip(axes, runs.items(), strict=False):
         if directory is not None:
             draw_motion(axis, directory, label)
     for axis in axes[len(runs) :]:
         axis.axis("off")
-    return _saved(figure, out / "image_motion.png")
+    return saved(figure, out / "image_motion.png")
 
 
 def plot_sweeps(out: Path, sweeps: Mapping[str, Mapping[str, Sweep]], title: str) -> Path:
@@ -83,7 +82,7 @@ def plot_sweeps(out: Path, sweeps: Mapping[str, Mapping[str, Sweep]], title: str
         Parameter → law → value of the parameter → quantity → final error.
     """
     quantities = list(next(iter(next(iter(next(iter(sweeps.values())).values())).values())))
-    figure = _page(title, 5.0 * len(quantities), 4.0 * len(sweeps))
+    figure = page(title, 5.0 * len(quantities), 4.0 * len(sweeps))
     rows = figure.subplots(len(sweeps), len(quantities), squeeze=False)
     for row, (parameter, laws) in zip(rows, sweeps.items(), strict=True):
         for axis, quantity in zip(row, quantities, strict=True):
@@ -92,12 +91,12 @@ def plot_sweeps(out: Path, sweeps: Mapping[str, Mapping[str, Sweep]], title: str
             axis.set(xlabel=parameter, ylabel=quantity)
             axis.grid(alpha=0.3)
             axis.legend(fontsize="small")
-    return _saved(figure, out / "sweep.png")
+    return saved(figure, out / "sweep.png")
 
 
 def plot_scatter(out: Path, ends: Mapping[str, Sequence[Mapping[str, float]]], title: str) -> Path:
     """Draw where the seeds of each case ended, in cm about the target; return ``out/ends.png``."""
-    figure = _page(title, 4.2 * len(ends), 4.2)
+    figure = page(title, 4.2 * len(ends), 4.2)
     axes = figure.subplots(1, len(ends), squeeze=False)[0]
     for axis, (case, errors) in zip(axes, ends.items(), strict=True):
         axis.plot([e["x_cm"] for e in errors], [e["y_cm"] for e in errors], ".")
@@ -105,7 +104,7 @@ def plot_scatter(out: Path, ends: Mapping[str, Sequence[Mapping[str, float]]], t
         axis.set(title=case, xlabel="x (cm)", ylabel="y (cm)")
         axis.axis("equal")
         axis.grid(alpha=0.3)
-    return _saved(figure, out / "ends.png")
+    return saved(figure, out / "ends.png")
 
 
 def _draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], ticks: Ticks, label: str) -> None:
@@ -115,15 +114,3 @@ def _draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], ticks: Ticks, labe
         values = factor * numbers[column]
         shown = np.abs(values) < _MOST if column.startswith("epipoles") else np.isfinite(values)
         axis.plot(numbers["t"], np.where(shown, values, np.nan), linewidth=1.0)
-
-
-def _page(title: str, width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title)
-    return figure
-
-
-def _saved(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=100)
-    return path

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from visctrl.experiments.pages import page, saved
 from visctrl.experiments.pose_runs import COLUMNS, Averages
 from visctrl.report.ticks import Ticks, read_ticks
 
@@ -30,21 +29,19 @@ _SHOWN = 20
 
 def plot_consistency(out: Path, groups: Mapping[str, Averages]) -> Path:
     """Draw averaged NEES and NIS with their bounds, one row a start; return the picture's path."""
-    figure = _page(
-        "NEES and NIS per degree of freedom, averaged over runs", 12.0, 3.0 * len(groups)
-    )
+    figure = page("NEES and NIS per degree of freedom, averaged over runs", 12.0, 3.0 * len(groups))
     rows = figure.subplots(len(groups), 2, squeeze=False)
     for (left, right), (name, group) in zip(rows, groups.items(), strict=True):
         _draw_average(left, group.nees, group.nees_bounds)
         _draw_average(right, group.nis, group.nis_bounds)
         left.set(title=f"{name}: NEES, {100 * group.nees_inside:.0f} % inside")
         right.set(title=f"{name}: NIS, {100 * group.nis_inside:.0f} % inside")
-    return _saved(figure, out / "consistency.png")
+    return saved(figure, out / "consistency.png")
 
 
 def plot_errors(out: Path, traces: Sequence[Array], title: str) -> Path:
     """Draw estimation errors of runs with the filter's own 2σ; return the picture's path."""
-    figure = _page(title, 12.0, 9.0)
+    figure = page(title, 12.0, 9.0)
     axes = figure.subplots(3, 1, sharex=True)
     steps = min(len(trace) for trace in traces)
     stack = np.stack([trace[:steps] for trace in traces])
@@ -60,7 +57,7 @@ def plot_errors(out: Path, traces: Sequence[Array], title: str) -> Path:
         axis.grid(alpha=0.3)
     axes[0].legend(loc="upper right")
     axes[-1].set(xlabel="time since the first pose (s)")
-    return _saved(figure, out / "errors.png")
+    return saved(figure, out / "errors.png")
 
 
 def plot_runs(
@@ -70,7 +67,7 @@ def plot_runs(
     obstacles: Sequence[tuple[float, float, float]] = (),
 ) -> Path:
     """Draw recorded runs, and obstacles (x, y, radius in m); return the picture's path."""
-    figure = _page(title, 13.0, 8.0)
+    figure = page(title, 13.0, 8.0)
     axes = figure.subplots(2, 3).ravel()
     for number, directory in enumerate(directories):
         _draw_run(axes, read_ticks(directory / "ticks.csv"), directory.name, f"C{number}")
@@ -86,7 +83,7 @@ def plot_runs(
     axes[4].grid(alpha=0.3)
     axes[5].axis("off")
     axes[5].legend(*axes[0].get_legend_handles_labels(), loc="center", fontsize="small")
-    return _saved(figure, out / "runs.png")
+    return saved(figure, out / "runs.png")
 
 
 def plot_curves(out: Path, curves: Mapping[str, tuple[Array, Array, Array]], bounds: Array) -> Path:
@@ -95,7 +92,7 @@ def plot_curves(out: Path, curves: Mapping[str, tuple[Array, Array, Array]], bou
     curves : by axis label, where (K,), means (K, 3) and deviations (K, 3) in cm, cm, deg.
     bounds : (3,) published ones.
     """
-    figure = _page("final errors with a wrong camera", 12.0, 9.0)
+    figure = page("final errors with a wrong camera", 12.0, 9.0)
     rows = figure.subplots(3, len(curves), squeeze=False)
     for column, (label, (where, mean, deviation)) in zip(rows.T, curves.items(), strict=True):
         for axis, (name, unit, _), m, s, bound in zip(
@@ -107,7 +104,7 @@ def plot_curves(out: Path, curves: Mapping[str, tuple[Array, Array, Array]], bou
             axis.set(ylabel=f"{name} ({unit})")
             axis.grid(alpha=0.3)
         column[-1].set(xlabel=label)
-    return _saved(figure, out / "curves.png")
+    return saved(figure, out / "curves.png")
 
 
 def _draw_average(axis: Axes, values: Array, bounds: Array) -> None:
@@ -130,15 +127,3 @@ def _draw_run(axes: NDArray[np.object_], ticks: Ticks, label: str, color: str) -
             axes[0].plot(x_found, y_found, ":", color=color)
             error = 100.0 * np.hypot(np.subtract(x_found, x), np.subtract(y_found, y))
             axes[4].plot(t, np.maximum(error, 1e-2), color=color)
-
-
-def _page(title: str, width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title)
-    return figure
-
-
-def _saved(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=100)
-    return path

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from visctrl.experiments.image_motion import draw_motion
+from visctrl.experiments.pages import page, saved
 from visctrl.geometry.trifocal import ELEMENTS
 from visctrl.report.ticks import Ticks, read_ticks
 
@@ -29,7 +28,7 @@ _REFERENCES = {"tensor.xi1": "reference_xi1", "tensor.xi2": "reference_xi2"}
 
 def plot_states(out: Path, directories: Sequence[Path], title: str) -> Path:
     """Draw paths, states, outputs and inputs of recorded runs; return ``out/runs.png``."""
-    figure = _page(title, 13.0, 10.0)
+    figure = page(title, 13.0, 10.0)
     axes = figure.subplots(3, 3).ravel()
     for number, directory in enumerate(directories):
         _draw_states(axes, read_ticks(directory / "ticks.csv"), directory.name, f"C{number}")
@@ -42,12 +41,12 @@ def plot_states(out: Path, directories: Sequence[Path], title: str) -> Path:
     axes[-1].axis("off")
     handles, labels = axes[0].get_legend_handles_labels()
     axes[-1].legend(handles, labels, loc="center", fontsize="small")
-    return _saved(figure, out / "runs.png")
+    return saved(figure, out / "runs.png")
 
 
 def plot_tensors(out: Path, directories: Sequence[Path], title: str) -> Path:
     """Draw the normalised tensor elements of recorded runs; return ``out/tensor.png``."""
-    figure = _page(title, 5.5 * len(directories), 8.0)
+    figure = page(title, 5.5 * len(directories), 8.0)
     rows = figure.subplots(2, len(directories), squeeze=False, sharex="col")
     for (above, below), directory in zip(rows.T, directories, strict=True):
         ticks = read_ticks(directory / "ticks.csv")
@@ -59,16 +58,16 @@ def plot_tensors(out: Path, directories: Sequence[Path], title: str) -> Path:
         for axis in (above, below):
             axis.grid(alpha=0.3)
             axis.legend(fontsize="small")
-    return _saved(figure, out / "tensor.png")
+    return saved(figure, out / "tensor.png")
 
 
 def plot_motion(out: Path, directories: Sequence[Path], title: str) -> Path:
     """Draw how the features move in the image; return ``out/image_motion.png``."""
-    figure = _page(title, 6.5 * len(directories), 5.5)
+    figure = page(title, 6.5 * len(directories), 5.5)
     axes = figure.subplots(1, len(directories), squeeze=False)[0]
     for axis, directory in zip(axes, directories, strict=True):
         draw_motion(axis, directory, directory.name)
-    return _saved(figure, out / "image_motion.png")
+    return saved(figure, out / "image_motion.png")
 
 
 def _draw_states(
@@ -84,15 +83,3 @@ def _draw_states(
         for name in numbers:
             if reference and name.endswith(f".{reference}"):
                 axis.plot(t, numbers[name], "k--", linewidth=0.8)
-
-
-def _page(title: str, width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title)
-    return figure
-
-
-def _saved(figure: Figure, path: Path) -> Path:
-    figure.savefig(path, dpi=100)
-    return path
