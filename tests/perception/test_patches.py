@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from box_room import texture
 
-from visctrl.perception.patches import Patches, prepared
+from visctrl.perception.patches import Patches, Source
 
 
 def picture():
@@ -38,8 +38,8 @@ def test_affine_warps_are_found_to_a_twentieth_of_a_pixel(matrix):
     points = centres()
     truth = (points - middle) @ np.asarray(matrix).T + middle + offset
     start = truth + np.random.default_rng(1).uniform(-1.2, 1.2, points.shape)
-    found = Patches(image, points).align(
-        prepared(other), np.arange(len(points)), start, np.tile(np.eye(2), (len(points), 1, 1)), 20
+    found = Patches(Source(image), points).align(
+        Source(other), np.arange(len(points)), start, np.tile(np.eye(2), (len(points), 1, 1)), 20
     )
     error = np.linalg.norm(found.points - truth, axis=1)
     good = found.score > 0.8
@@ -55,7 +55,7 @@ def test_gain_and_offset_make_no_difference():
     dim = np.clip(0.6 * image.astype(float) + 20, 0, 255).astype(np.uint8)
     start = points + np.array([0.8, -0.6])
     warps = np.tile(np.eye(2), (len(points), 1, 1))
-    found = Patches(image, points).align(prepared(dim), np.arange(len(points)), start, warps, 12)
+    found = Patches(Source(image), points).align(Source(dim), np.arange(len(points)), start, warps, 12)
     assert np.abs(found.points - points).max() < 0.05
     assert found.score.min() > 0.98
 
@@ -64,17 +64,17 @@ def test_something_else_does_not_score():
     points = centres()
     other = np.rint(texture(4)[2][:400, :500]).astype(np.uint8)
     warps = np.tile(np.eye(2), (len(points), 1, 1))
-    found = Patches(picture(), points).align(
-        prepared(other), np.arange(len(points)), points, warps, 10
+    found = Patches(Source(picture()), points).align(
+        Source(other), np.arange(len(points)), points, warps, 10
     )
     assert np.mean(found.score > 0.8) < 0.1
 
 
 def test_a_subset_is_aligned_like_the_whole_and_none_at_all_is_fine():
     image, points = picture(), centres()
-    patches = Patches(image, points)
+    patches = Patches(Source(image), points)
     warps = np.tile(np.eye(2), (len(points), 1, 1))
-    seen = prepared(warped(image, np.eye(2), np.array([0.5, 0.25]), np.zeros(2)))
+    seen = Source(warped(image, np.eye(2), np.array([0.5, 0.25]), np.zeros(2)))
     whole = patches.align(seen, np.arange(len(points)), points, warps)
     some = np.array([7, 2, 30])
     part = patches.align(seen, some, points[some], warps[some])
@@ -86,9 +86,9 @@ def test_a_subset_is_aligned_like_the_whole_and_none_at_all_is_fine():
 
 def test_a_flat_patch_neither_divides_by_zero_nor_scores():
     flat = np.full((60, 60), 90, dtype=np.uint8)
-    patches = Patches(flat, np.array([[30.0, 30.0]]))
+    patches = Patches(Source(flat), np.array([[30.0, 30.0]]))
     found = patches.align(
-        prepared(picture()[:60, :60]), np.array([0]), np.array([[30.0, 30.0]]), np.eye(2)[None]
+        Source(picture()[:60, :60]), np.array([0]), np.array([[30.0, 30.0]]), np.eye(2)[None]
     )
     assert np.isfinite(found.points).all()
     assert found.score[0] < 0.8

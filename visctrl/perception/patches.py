@@ -8,6 +8,7 @@ intensities normalised to zero mean and unit norm, so that gain and offset do no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -15,14 +16,55 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 Grey = NDArray[np.uint8]
-Values = NDArray[np.float32]
+Indices = NDArray[np.intp]
 
 #: Half the side of a patch (px); the patch has 2·7 + 1 pixels a side.
 HALF = 7
 # Damping of the affine part, against the information of a well textured patch of about 4: what
 # the texture says little about stays as it was.
 _AFFINE_DAMPING = 0.1
+# Deviation (grey levels) up to which a patch counts as flat.
+_FLAT = np.float32(0.5)
+# Longest step of an iteration: of the place (px) and of the warp.
+_LONGEST = np.array([1.5] * 2 + [0.15] * 4)
+
+_side = np.arange(-HALF, HALF + 1, dtype=np.float64)
+# Offsets (2, S) of a patch's pixels from its centre.
+_OFFSETS = np.stack([across.ravel() for across in np.meshgrid(_side, _side)])
+_WEIGHTS = np.exp(-(_OFFSETS**2).sum(axis=0) / (2 * (0.6 * HALF) ** 2))
+_WEIGHTS = (_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
+_ROOT = np.sqrt(_WEIGHTS)
+# Nine places (2, 9) of a patch, and the quadratic interpolation (9, S) from them.
+_t = _side / HALF
+_lagrange = np.stack([_t * (_t - 1.0) / 2.0, 1.0 - _t**2, _t * (_t + 1.0) / 2.0])
+_NINE = HALF * np.stack([n.ravel() for n in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])])
+_BETWEEN = np.einsum("ir,jc->ijrc", _lagrange, _lagrange).reshape(9, -1).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Source:
+    """An image that patches are taken from.
+
+    image : (rows, columns) uint8.
+    pixels : callable
+        Returns where in it the points (N, M, 2) lie that patches are made of.
+    """
+
+    image: Grey
+    pixels: Callable[[Array], Floats] = np.float32
+
+    def sample(self, points: Array, warps: Array) -> Floats:
+        """Return the grey levels (N, S), less the middle one, under warped patches.
+
+        The map is followed exactly at nine places of a patch, quadratically between them.
+        """
+        nine = points[:, None] + (warps @ _NINE).transpose(0, 2, 1)
+        xy = self.pixels(nine).transpose(2, 0, 1) @ _BETWEEN
+        border = cv2.BORDER_REPLICATE
+        grey = cv2.remap(self.image, xy[0], xy[1], cv2.INTER_LINEAR, borderMode=border)
+        return np.asarray(grey, dtype=np.float32) - np.float32(128.0)
 
 
 @dataclass(frozen=True)
@@ -40,60 +82,51 @@ class Alignment:
 
 
 class Patches:
-    """Patches cut from one reference image, ready to be aligned in others.
+    """Patches cut from reference images, ready to be aligned in others.
 
     Parameters
     ----------
-    image : (rows, columns) uint8
+    source : Source
     points : (N, 2) centres, sub-pixel.
     """
 
-    def __init__(self, image: Grey, points: Array) -> None:
-        self.points = np.asarray(points, dtype=np.float64)
-        side = np.arange(-HALF, HALF + 1, dtype=np.float64)
-        dy, dx = np.meshgrid(side, side, indexing="ij")
-        self._offsets = np.stack([dx.ravel(), dy.ravel()])
-        self._weights = np.exp(-(self._offsets**2).sum(axis=0) / (2 * (0.6 * HALF) ** 2))
-        self._weights /= self._weights.sum()
-        self._root = np.sqrt(self._weights).astype(np.float32)
-        self._build(prepared(image))
-
-    def _build(self, image: Values) -> None:
-        """Prepare the normalised templates and the normal equations of each patch."""
-        n = len(self.points)
-        eye = np.broadcast_to(np.eye(2), (n, 2, 2))
-        grey = self._sample(image, self.points, eye)
-        self._template, norm = self._normalised(grey)
+    def __init__(self, source: Source, points: Array) -> None:
+        eye = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+        template, norm = _normalised(source.sample(points, eye))
+        template *= _ROOT
         step = np.array([[0.5, 0.0], [0.0, 0.5]])
-        after = (self._sample(image, self.points + shift, eye) for shift in step)
-        before = (self._sample(image, self.points - shift, eye) for shift in step)
-        gx, gy = (self._root * (b - a) / norm for a, b in zip(before, after, strict=True))
-        dx, dy = self._offsets.astype(np.float32)
+        after, before = (
+            [source.sample(points + sign * shift, eye) for shift in step] for sign in (1, -1)
+        )
+        gx, gy = (_ROOT * (a - b) / norm for a, b in zip(after, before, strict=True))
+        dx, dy = _OFFSETS.astype(np.float32)
         steepest = np.stack([gx, gy, gx * dx, gx * dy, gy * dx, gy * dy], axis=1)
         # What a change of offset or gain explains is none of the warp's business.
-        steepest -= (steepest @ self._root)[..., None] * self._root
-        along = np.einsum("nks,ns->nk", steepest, self._template)
-        steepest -= along[..., None] * self._template[:, None]
-        self._steepest = steepest
+        steepest -= (steepest @ _ROOT)[..., None] * _ROOT
+        along = np.einsum("nks,ns->nk", steepest, template)
+        steepest -= along[..., None] * template[:, None]
         normal = np.einsum("nks,nls->nkl", steepest, steepest).astype(np.float64)
         normal[:, [2, 3, 4, 5], [2, 3, 4, 5]] += _AFFINE_DAMPING
         normal[:, [0, 1], [0, 1]] += 1e-9
-        self._inverse = np.linalg.inv(normal).astype(np.float32)
+        inverse = np.linalg.inv(normal).astype(np.float32)
+        # Six rows that make a Gauss–Newton step of a patch, and one its correlation.
+        self._rows = np.concatenate([inverse @ steepest, template[:, None]], axis=1) * _ROOT
+
+    def joined(self, other: Patches) -> Patches:
+        """Return these patches and others, whose numbers follow."""
+        both = object.__new__(Patches)
+        both._rows = np.concatenate([self._rows, other._rows])
+        return both
 
     def align(
-        self,
-        image: Values,
-        which: NDArray[np.intp],
-        points: Array,
-        warps: Array,
-        iterations: int = 4,
+        self, source: Source, which: Indices, points: Array, warps: Array, iterations: int = 4
     ) -> Alignment:
         """Align some patches with an image.
 
         Parameters
         ----------
-        image : (rows, columns) float32
-            The image searched, through `prepared`.
+        source : Source
+            The image searched.
         which : (M,) numbers of the patches.
         points : (M, 2), warps : (M, 2, 2)
             Where to start.
@@ -104,35 +137,25 @@ class Patches:
         Alignment
             Of the M patches, in their order. A patch that was led astray has a low score.
         """
+        rows, score = self._rows[which], np.zeros(len(which))
         if len(which) == 0:
-            return Alignment(points, warps, np.zeros(0))
-        points, warps = points.copy(), warps.copy()
-        template = self._template[which]
-        steepest, inverse = self._steepest[which], self._inverse[which]
-        error = np.zeros_like(template)
+            return Alignment(points, warps, score)
         for _ in range(iterations):
-            error = self._normalised(self._sample(image, points, warps))[0] - template
-            step = np.einsum("nkl,nl->nk", inverse, np.einsum("nks,ns->nk", steepest, error))
-            step = np.clip(step, [[-1.5] * 2 + [-0.15] * 4], [[1.5] * 2 + [0.15] * 4])
+            grey, _ = _normalised(source.sample(points, warps))
+            found = (rows @ grey[:, :, None])[:, :, 0].astype(np.float64)
+            step = np.clip(found[:, :6], -_LONGEST, _LONGEST)
             warps = warps @ _inverse(np.eye(2) + step[:, 2:].reshape(-1, 2, 2))
-            points -= np.einsum("nij,nj->ni", warps, step[:, :2])
-        # The last step is too small to be worth another look.
-        return Alignment(points, warps, 1.0 - 0.5 * (error**2).sum(axis=1).astype(np.float64))
+            points = points - (warps @ step[:, :2, None])[:, :, 0]
+            # The last step is too small to be worth another look.
+            score = found[:, 6]
+        return Alignment(points, warps, score)
 
-    def _sample(self, image: Values, points: Array, warps: Array) -> Values:
-        """Return the grey levels (N, S) under the warped patches."""
-        at = points[:, :, None] + warps @ self._offsets
-        xy = at.astype(np.float32)
-        return np.asarray(
-            cv2.remap(image, xy[:, 0], xy[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-            dtype=np.float32,
-        )
 
-    def _normalised(self, grey: Values) -> tuple[Values, Values]:
-        """Return the patches (N, S), weighted, of zero mean and unit norm, and their norms."""
-        centred = (grey - (grey @ self._weights.astype(np.float32))[:, None]) * self._root
-        norm = np.sqrt((centred**2).sum(axis=1, keepdims=True)) + np.float32(0.5)
-        return centred / norm, norm
+def _normalised(grey: Floats) -> tuple[Floats, Floats]:
+    """Return patches (N, S) of zero mean and unit deviation, and their deviations (N, 1)."""
+    centred = grey - (grey @ _WEIGHTS)[:, None]
+    norm = np.sqrt(np.maximum((centred**2) @ _WEIGHTS, _FLAT**2))[:, None]
+    return centred / norm, norm
 
 
 def _inverse(A: Array) -> Array:
@@ -140,8 +163,3 @@ def _inverse(A: Array) -> Array:
     (a, b), (c, d) = A[:, 0].T, A[:, 1].T
     adjugate = np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2)
     return np.asarray(adjugate / (a * d - b * c)[:, None, None], dtype=np.float64)
-
-
-def prepared(image: Grey) -> Values:
-    """Return an image ready for `Patches.align`: float, and a little smoothed."""
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), 0.8).astype(np.float32), dtype=np.float32)

@@ -42,19 +42,21 @@ def follow(
     """
     if len(points) == 0:
         return points.copy(), np.zeros(0, dtype=np.bool_)
-    across = np.array([shift(previous, current), 0.0])
+    across = np.array([shift(previous, current, canvas), 0.0])
     expected = canvas.canonical(points + across)
+    start, guess = (((p + 0.5) / canvas.shrink - 0.5).astype(np.float32) for p in (points, expected))
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
-        previous.image,
-        current.image,
-        points.astype(np.float32).reshape(-1, 1, 2),
-        expected.astype(np.float32).reshape(-1, 1, 2),
+        previous.small,
+        current.small,
+        start,
+        guess,
         winSize=(WINDOW, WINDOW),
         maxLevel=LEVELS,
         criteria=_CRITERIA,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    return canvas.canonical(moved[:, 0].astype(np.float64)), np.asarray(status[:, 0] > 0)
+    moved = canvas.shrink * (np.asarray(moved, dtype=np.float64) + 0.5) - 0.5
+    return canvas.canonical(moved), np.asarray(status[:, 0] > 0)
 
 
 def returns(
@@ -79,15 +81,15 @@ def returns(
     return np.asarray(found & (np.linalg.norm(back - points, axis=-1) <= tolerance))
 
 
-def shift(previous: Picture, current: Picture) -> float:
-    """Return by how much (px) a picture as a whole has moved to the right; 0 if it is unclear.
+def shift(previous: Picture, current: Picture, canvas: Canvas) -> float:
+    """Return by how much (px of the canvas) a picture as a whole has moved to the right; 0 if it is unclear.
 
     Phase correlation of the coarse pictures: on the unwrap this is the turn of the robot.
     """
     (across, _), peak = cv2.phaseCorrelate(
         previous.coarse, current.coarse, _window(previous.coarse.shape)
     )
-    return COARSENESS * across if peak > _CLEAR_PEAK else 0.0
+    return canvas.shrink * COARSENESS * across if peak > _CLEAR_PEAK else 0.0
 
 
 @cache

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,11 +20,14 @@ from hal.central_camera import CentralCamera
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 Grey = NDArray[np.uint8]
 
 #: Columns repeated beyond the seam, so that no window or pyramid level meets an edge there.
 SEAM_PADDING_PX = 80
-#: Side (px) of the blocks of pixels that a coarse picture averages.
+#: Columns that a small picture keeps at least: enough to follow motion by, if not to measure it.
+SMALL_COLUMNS = 400
+#: Side (px) of the blocks of a small picture's pixels that a coarse picture averages.
 COARSENESS = 4
 #: Steeper features are near the robot or overhead: badly stretched, and useless for a bearing.
 MAX_ELEVATION_DEG = 45.0
@@ -47,16 +51,30 @@ class Canvas(ABC):
     field: Grey
     mask: Grey
 
+    @cached_property
+    def shrink(self) -> int:
+        """Side (px) of the squares of the canvas that are one pixel of its small picture."""
+        return max(1, self.shape[1] // SMALL_COLUMNS)
+
     @abstractmethod
     def warp(self, image: Grey) -> Grey:
         """Return the camera's image drawn on this canvas."""
 
+    @abstractmethod
+    def small(self, image: Grey) -> Grey:
+        """Return the camera's image drawn on this canvas at a size less by `shrink`."""
+
     @cached_property
     def coarse_field(self) -> Grey:
         """The field of the coarse picture (see `COARSENESS`)."""
-        size = (self.shape[1] // COARSENESS, self.shape[0] // COARSENESS)
-        whole = self.field[: COARSENESS * size[1], : COARSENESS * size[0]]
+        side = self.shrink * COARSENESS
+        size = (self.shape[1] // side, self.shape[0] // side)
+        whole = self.field[: side * size[1], : side * size[0]]
         return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+
+    @abstractmethod
+    def pixels(self, points: ArrayLike) -> Floats:
+        """Return the image points (N, M, 2) of canvas points (N, M, 2) or a little beside it."""
 
     @abstractmethod
     def rays(self, points: ArrayLike) -> Array:
@@ -94,6 +112,14 @@ class FlatCanvas(Canvas):
         """Return the image itself."""
         return image
 
+    def small(self, image: Grey) -> Grey:
+        """Return the image, smaller."""
+        return shrunk(image, self.shrink)
+
+    def pixels(self, points: ArrayLike) -> Floats:
+        """Return the points."""
+        return np.asarray(points, dtype=np.float32)
+
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of image points (..., 2)."""
         return self._camera.robot_rays(points)[0]
@@ -129,8 +155,9 @@ class Cylinder(Canvas):
         rows = math.ceil((self._top - math.tan(low)) * self.scale)
         self.shape = (rows, columns + 2 * self._padding)
         pixels, seen = camera.robot_pixels(self.rays(_grid(self.shape)))
-        pixels = np.where(seen[..., None], pixels, -9.0).astype(np.float32)
-        self._map = cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
+        self._map = np.where(np.isfinite(pixels), pixels, -9.0).astype(np.float32)
+        small = shrunk(self._map, self.shrink)
+        self._small_map = (small + np.float32(0.5)) / self.shrink - np.float32(0.5)
         self.field = np.where(seen, 255, 0).astype(np.uint8)
         self.mask = self.field.copy()
         if self._full_turn:
@@ -139,7 +166,19 @@ class Cylinder(Canvas):
 
     def warp(self, image: Grey) -> Grey:
         """Return the camera's image on the cylinder (one bilinear remap)."""
-        return np.asarray(cv2.remap(image, *self._map, cv2.INTER_LINEAR), dtype=np.uint8)
+        return np.asarray(cv2.remap(image, self._map, None, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def small(self, image: Grey) -> Grey:
+        """Return the camera's image on the smaller cylinder."""
+        smaller = shrunk(image, self.shrink)
+        return np.asarray(cv2.remap(smaller, self._small_map, None, cv2.INTER_LINEAR), np.uint8)
+
+    def pixels(self, points: ArrayLike) -> Floats:
+        """Return the image points (N, M, 2) of canvas points (N, M, 2) or a little beside it."""
+        at = np.asarray(points, dtype=np.float32)
+        border = cv2.BORDER_REPLICATE
+        found = cv2.remap(self._map, at, None, cv2.INTER_LINEAR, borderMode=border)
+        return np.asarray(found, dtype=np.float32)
 
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of canvas points (..., 2)."""
@@ -197,6 +236,15 @@ def _field_of_view(camera: CentralCamera) -> tuple[float, float, float, float]:
     low, high = max(float(elevation.min()), -bound), min(float(elevation.max()), bound)
     bearing = np.arctan2(right, forward)[np.abs(elevation) <= bound]
     return low, high, float(bearing.min()), float(bearing.max())
+
+
+def shrunk(image: NDArray[Any], side: int) -> NDArray[Any]:
+    """Return an image of which squares of pixels are averaged; what is left over is cut off."""
+    if side == 1:
+        return image
+    rows, columns = (length // side for length in image.shape[:2])
+    whole = image[: side * rows, : side * columns]
+    return np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA))
 
 
 def _grid(shape: tuple[int, int], step: int = 1) -> Array:
