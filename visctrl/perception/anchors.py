@@ -18,8 +18,9 @@ Mask = NDArray[np.bool_]
 REACH_PX = 2.5
 # Patches stretched by more than this, either way, are not compared.
 _MAX_STRETCH = 2.5
-# A view that weighs less than this against the other is left out, but asked again this often.
-_WORTH, _ASK_AGAIN = 0.03, 8
+# A view that weighs less than this against the other is left out, but asked again this often (a
+# prime, as a tick may call more than once).
+_WORTH, _ASK_AGAIN = 0.03, 7
 
 
 @dataclass(frozen=True)

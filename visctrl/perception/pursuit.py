@@ -183,6 +183,8 @@ class Pursuit:
 
         ``present`` tracks there are already.
         """
+        if len(tracks) == 0:
+            return tracks
         tracks = self._held(source, tracks, _SEARCHING).only_held()
         rays = self._canvas.rays(tracks.points)
         agree = self._map.agree(tracks.which, rays, self._pose, self._gate_sigma)
