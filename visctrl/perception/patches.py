@@ -24,11 +24,13 @@ Indices = NDArray[np.intp]
 HALF = 7
 # Damping of the affine part, against the information of a well textured patch of about 4: what
 # the texture says little about stays as it was.
-_AFFINE_DAMPING = 0.1
+_DAMPING = np.array([1e-9, 0.1, 0.1] * 2)
+# Step (px) after which a patch is left alone.
+_SETTLED_PX = 0.05
 # Deviation (grey levels) up to which a patch counts as flat.
 _FLAT = np.float32(0.5)
 # Longest step of an iteration: of the place (px) and of the warp.
-_LONGEST = np.array([1.5] * 2 + [0.15] * 4)
+_LONGEST = np.array([1.5, 0.15, 0.15])
 
 _side = np.arange(-HALF, HALF + 1, dtype=np.float64)
 # Offsets (2, S) of a patch's pixels from its centre.
@@ -36,6 +38,8 @@ _OFFSETS = np.stack([across.ravel() for across in np.meshgrid(_side, _side)])
 _WEIGHTS = np.exp(-(_OFFSETS**2).sum(axis=0) / (2 * (0.6 * HALF) ** 2))
 _WEIGHTS = (_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 _ROOT = np.sqrt(_WEIGHTS)
+# What a gradient is summed with: 1 for the place, the offsets for the warp (S, 3).
+_MOMENTS = np.stack([np.ones_like(_WEIGHTS), *_OFFSETS.astype(np.float32)], axis=1)
 # Nine places (2, 9) of a patch, and the quadratic interpolation (9, S) from them.
 _t = _side / HALF
 _lagrange = np.stack([_t * (_t - 1.0) / 2.0, 1.0 - _t**2, _t * (_t + 1.0) / 2.0])
@@ -49,21 +53,21 @@ class Source:
 
     image : (rows, columns) uint8.
     pixels : callable
-        Returns where in it the points (N, M, 2) lie that patches are made of.
+        Returns at which of its columns and rows (N, M) lie the columns and rows (N, M) of the
+        points that patches are made of.
     """
 
     image: Grey
-    pixels: Callable[[Array], Floats] = np.float32
+    pixels: Callable[[Floats, Floats], tuple[Floats, Floats]] = lambda columns, rows: (columns, rows)
 
     def sample(self, points: Array, warps: Array) -> Floats:
         """Return the grey levels (N, S), less the middle one, under warped patches.
 
         The map is followed exactly at nine places of a patch, quadratically between them.
         """
-        nine = points[:, None] + (warps @ _NINE).transpose(0, 2, 1)
-        xy = self.pixels(nine).transpose(2, 0, 1) @ _BETWEEN
-        border = cv2.BORDER_REPLICATE
-        grey = cv2.remap(self.image, xy[0], xy[1], cv2.INTER_LINEAR, borderMode=border)
+        nine = (points[:, :, None] + warps @ _NINE).astype(np.float32)
+        x, y = (across @ _BETWEEN for across in self.pixels(nine[:, 0], nine[:, 1]))
+        grey = cv2.remap(self.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(grey, dtype=np.float32) - np.float32(128.0)
 
 
@@ -92,30 +96,28 @@ class Patches:
 
     def __init__(self, source: Source, points: Array) -> None:
         eye = np.broadcast_to(np.eye(2), (len(points), 2, 2))
-        template, norm = _normalised(source.sample(points, eye))
-        template *= _ROOT
-        step = np.array([[0.5, 0.0], [0.0, 0.5]])
-        after, before = (
-            [source.sample(points + sign * shift, eye) for shift in step] for sign in (1, -1)
+        template, deviation = _normalised(source.sample(points, eye))
+        right, up = (
+            source.sample(points + step, eye) - source.sample(points - step, eye)
+            for step in np.eye(2) / 2.0
         )
-        gx, gy = (_ROOT * (a - b) / norm for a, b in zip(after, before, strict=True))
-        dx, dy = _OFFSETS.astype(np.float32)
-        steepest = np.stack([gx, gy, gx * dx, gx * dy, gy * dx, gy * dy], axis=1)
+        # The gradients and the template of each patch, times the weights of its pixels.
+        self._rows = np.stack([right / deviation, up / deviation, template], axis=1) * _WEIGHTS
+        steepest = self._rows[:, :2, None] / _ROOT * _MOMENTS.T
+        steepest = steepest.reshape(len(points), 6, -1).astype(np.float64)
         # What a change of offset or gain explains is none of the warp's business.
-        steepest -= (steepest @ _ROOT)[..., None] * _ROOT
-        along = np.einsum("nks,ns->nk", steepest, template)
-        steepest -= along[..., None] * template[:, None]
-        normal = np.einsum("nks,nls->nkl", steepest, steepest).astype(np.float64)
-        normal[:, [2, 3, 4, 5], [2, 3, 4, 5]] += _AFFINE_DAMPING
-        normal[:, [0, 1], [0, 1]] += 1e-9
-        inverse = np.linalg.inv(normal).astype(np.float32)
-        # Six rows that make a Gauss–Newton step of a patch, and one its correlation.
-        self._rows = np.concatenate([inverse @ steepest, template[:, None]], axis=1) * _ROOT
+        template = template * _ROOT
+        by_gain = steepest @ template[:, :, None]
+        steepest -= (steepest @ _ROOT)[:, :, None] * _ROOT + by_gain * template[:, None]
+        normal = steepest @ steepest.transpose(0, 2, 1) + np.diag(_DAMPING)
+        inverse = np.linalg.inv(normal)
+        self._solve = np.concatenate([inverse, -inverse @ by_gain], axis=2)
 
     def joined(self, other: Patches) -> Patches:
         """Return these patches and others, whose numbers follow."""
         both = object.__new__(Patches)
         both._rows = np.concatenate([self._rows, other._rows])
+        both._solve = np.concatenate([self._solve, other._solve])
         return both
 
     def align(
@@ -137,29 +139,29 @@ class Patches:
         Alignment
             Of the M patches, in their order. A patch that was led astray has a low score.
         """
-        rows, score = self._rows[which], np.zeros(len(which))
-        if len(which) == 0:
-            return Alignment(points, warps, score)
+        points, warps, score = points.copy(), warps.copy(), np.zeros(len(which))
+        moving = np.arange(len(which))
         for _ in range(iterations):
-            grey, _ = _normalised(source.sample(points, warps))
-            found = (rows @ grey[:, :, None])[:, :, 0].astype(np.float64)
-            step = np.clip(found[:, :6], -_LONGEST, _LONGEST)
-            warps = warps @ _inverse(np.eye(2) + step[:, 2:].reshape(-1, 2, 2))
-            points = points - (warps @ step[:, :2, None])[:, :, 0]
-            # The last step is too small to be worth another look.
-            score = found[:, 6]
+            if len(moving) == 0:
+                break
+            number, warp = which[moving], warps[moving]
+            grey, _ = _normalised(source.sample(points[moving], warp))
+            # Of the gradients and the template with the grey levels; of the last only the first.
+            moments = (self._rows[number] * grey[:, None]) @ _MOMENTS
+            moments = moments.reshape(-1, 9)[:, :7, None]
+            step = (self._solve[number] @ moments).reshape(-1, 2, 3)
+            step = np.clip(step, -_LONGEST, _LONGEST)
+            score[moving] = moments[:, 6, 0]
+            # To first order, the inverse of the step before the warp.
+            warps[moving] = warp = warp - warp @ step[:, :, 1:]
+            points[moving] -= (warp @ step[:, :, :1])[:, :, 0]
+            # Where the step is small, the next would be smaller than the noise.
+            moving = moving[(step[:, :, 0] ** 2).sum(axis=1) > _SETTLED_PX**2]
         return Alignment(points, warps, score)
 
 
 def _normalised(grey: Floats) -> tuple[Floats, Floats]:
     """Return patches (N, S) of zero mean and unit deviation, and their deviations (N, 1)."""
     centred = grey - (grey @ _WEIGHTS)[:, None]
-    norm = np.sqrt(np.maximum((centred**2) @ _WEIGHTS, _FLAT**2))[:, None]
-    return centred / norm, norm
-
-
-def _inverse(A: Array) -> Array:
-    """Return the inverses of matrices (N, 2, 2)."""
-    (a, b), (c, d) = A[:, 0].T, A[:, 1].T
-    adjugate = np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2)
-    return np.asarray(adjugate / (a * d - b * c)[:, None, None], dtype=np.float64)
+    deviation = np.sqrt(np.maximum((centred * centred) @ _WEIGHTS, _FLAT**2))[:, None]
+    return centred / deviation, deviation

@@ -73,8 +73,8 @@ class Canvas(ABC):
         return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
     @abstractmethod
-    def pixels(self, points: ArrayLike) -> Floats:
-        """Return the image points (N, M, 2) of canvas points (N, M, 2) or a little beside it."""
+    def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+        """Return the columns and rows (N, M) in the image of canvas points or some beside it."""
 
     @abstractmethod
     def rays(self, points: ArrayLike) -> Array:
@@ -116,9 +116,9 @@ class FlatCanvas(Canvas):
         """Return the image, smaller."""
         return shrunk(image, self.shrink)
 
-    def pixels(self, points: ArrayLike) -> Floats:
+    def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
         """Return the points."""
-        return np.asarray(points, dtype=np.float32)
+        return columns, rows
 
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of image points (..., 2)."""
@@ -155,8 +155,9 @@ class Cylinder(Canvas):
         rows = math.ceil((self._top - math.tan(low)) * self.scale)
         self.shape = (rows, columns + 2 * self._padding)
         pixels, seen = camera.robot_pixels(self.rays(_grid(self.shape)))
-        self._map = np.where(np.isfinite(pixels), pixels, -9.0).astype(np.float32)
-        small = shrunk(self._map, self.shrink)
+        finite = np.where(np.isfinite(pixels), pixels, -9.0).astype(np.float32)
+        self._map = np.ascontiguousarray(finite.transpose(2, 0, 1))
+        small = np.stack([shrunk(m, self.shrink) for m in self._map])
         self._small_map = (small + np.float32(0.5)) / self.shrink - np.float32(0.5)
         self.field = np.where(seen, 255, 0).astype(np.uint8)
         self.mask = self.field.copy()
@@ -166,19 +167,22 @@ class Cylinder(Canvas):
 
     def warp(self, image: Grey) -> Grey:
         """Return the camera's image on the cylinder (one bilinear remap)."""
-        return np.asarray(cv2.remap(image, self._map, None, cv2.INTER_LINEAR), dtype=np.uint8)
+        return np.asarray(cv2.remap(image, *self._map, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def small(self, image: Grey) -> Grey:
         """Return the camera's image on the smaller cylinder."""
         smaller = shrunk(image, self.shrink)
-        return np.asarray(cv2.remap(smaller, self._small_map, None, cv2.INTER_LINEAR), np.uint8)
+        return np.asarray(cv2.remap(smaller, *self._small_map, cv2.INTER_LINEAR), np.uint8)
 
-    def pixels(self, points: ArrayLike) -> Floats:
-        """Return the image points (N, M, 2) of canvas points (N, M, 2) or a little beside it."""
-        at = np.asarray(points, dtype=np.float32)
-        border = cv2.BORDER_REPLICATE
-        found = cv2.remap(self._map, at, None, cv2.INTER_LINEAR, borderMode=border)
-        return np.asarray(found, dtype=np.float32)
+    def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+        """Return where in the image canvas points lie (see `Canvas.pixels`)."""
+        # Of a map with two channels, OpenCV would round the places to thirty-seconds of a pixel.
+        x, y = ((a + np.float32(0.5)) / self.shrink - np.float32(0.5) for a in (columns, rows))
+        small_x, small_y = (
+            cv2.remap(m, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for m in self._small_map
+        )
+        return self.shrink * (small_x + 0.5) - 0.5, self.shrink * (small_y + 0.5) - 0.5
 
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of canvas points (..., 2)."""
