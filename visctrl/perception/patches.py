@@ -61,14 +61,14 @@ class Source:
     pixels: Callable[[Floats, Floats], tuple[Floats, Floats]] = lambda columns, rows: (columns, rows)
 
     def sample(self, points: Array, warps: Array) -> Floats:
-        """Return the grey levels (N, S), less the middle one, under warped patches.
+        """Return the grey levels (N, S) under warped patches.
 
         The map is followed exactly at nine places of a patch, quadratically between them.
         """
         nine = (points[:, :, None] + warps @ _NINE).astype(np.float32)
         x, y = (across @ _BETWEEN for across in self.pixels(nine[:, 0], nine[:, 1]))
         grey = cv2.remap(self.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(grey, dtype=np.float32) - np.float32(128.0)
+        return np.asarray(grey, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,8 @@ class Patches:
 
     def __init__(self, source: Source, points: Array) -> None:
         eye = np.broadcast_to(np.eye(2), (len(points), 2, 2))
-        template, deviation = _normalised(source.sample(points, eye))
+        centred, deviation = _centred(source.sample(points, eye))
+        template = centred / deviation
         right, up = (
             source.sample(points + step, eye) - source.sample(points - step, eye)
             for step in np.eye(2) / 2.0
@@ -145,10 +146,10 @@ class Patches:
             if len(moving) == 0:
                 break
             number, warp = which[moving], warps[moving]
-            grey, _ = _normalised(source.sample(points[moving], warp))
+            centred, deviation = _centred(source.sample(points[moving], warp))
             # Of the gradients and the template with the grey levels; of the last only the first.
-            moments = (self._rows[number] * grey[:, None]) @ _MOMENTS
-            moments = moments.reshape(-1, 9)[:, :7, None]
+            moments = (self._rows[number] * centred[:, None]).reshape(-1, len(_WEIGHTS)) @ _MOMENTS
+            moments = (moments.reshape(-1, 9)[:, :7] / deviation)[:, :, None]
             step = (self._solve[number] @ moments).reshape(-1, 2, 3)
             step = np.clip(step, -_LONGEST, _LONGEST)
             score[moving] = moments[:, 6, 0]
@@ -160,8 +161,7 @@ class Patches:
         return Alignment(points, warps, score)
 
 
-def _normalised(grey: Floats) -> tuple[Floats, Floats]:
-    """Return patches (N, S) of zero mean and unit deviation, and their deviations (N, 1)."""
+def _centred(grey: Floats) -> tuple[Floats, Floats]:
+    """Return patches (N, S) less their means, and their standard deviations (N, 1)."""
     centred = grey - (grey @ _WEIGHTS)[:, None]
-    deviation = np.sqrt(np.maximum((centred * centred) @ _WEIGHTS, _FLAT**2))[:, None]
-    return centred / deviation, deviation
+    return centred, np.sqrt(np.maximum((centred * centred) @ _WEIGHTS, _FLAT**2))[:, None]

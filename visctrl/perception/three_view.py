@@ -31,6 +31,7 @@ _OUTLIER_SCALE = 2.0
 # Gauss–Newton steps at most, and the step (baselines, rad) after which the next is a tenth of it
 # or less, and noise larger.
 _STEPS, _SETTLED = 8, 5e-4
+_LONGEST = 0.4
 # A little damping: with no parallax at all the position is not determined.
 _DAMPING = np.diag([1.0, 1.0, 1e-3])
 
@@ -95,19 +96,19 @@ class ThreeViewMap:
 
         Robust Gauss–Newton (Cauchy weights) on bearings and elevations from ``start``.
         """
-        pose = np.array(start, dtype=np.float64)
+        pose, seen = np.array(start, dtype=np.float64), _seen(rays)
         for _ in range(_STEPS):
-            residual, J, variance = self._linearise(which, rays, pose, sigma)
+            residual, J, variance = self._linearise(which, seen, pose, sigma)
             scaled = residual**2 / variance
             weight = 1.0 / (variance * (1.0 + scaled.sum(axis=1) / _OUTLIER_SCALE**2)[:, None])
             J, weighted = J.reshape(-1, 3), (weight[..., None] * J).reshape(-1, 3)
             H, g = weighted.T @ J, weighted.T @ residual.ravel()
             step = np.linalg.solve(H + _DAMPING, g)
-            step *= min(1.0, 0.4 / max(float(np.abs(step).max()), 1e-12))
-            pose += step
-            if float(np.abs(step).max()) < _SETTLED:
+            longest = float(np.abs(step).max())
+            pose += step * min(1.0, _LONGEST / max(longest, 1e-12))
+            if longest < _SETTLED:
                 break
-        residual, _, variance = self._linearise(which, rays, pose, sigma)
+        residual, _, variance = self._linearise(which, seen, pose, sigma)
         inliers = _within_gate(residual, variance)
         sure = inliers if inliers.any() else np.ones_like(inliers)
         spread = 1.4826 * float(np.median(np.abs(residual[sure, 0]))) if len(which) else 0.0
@@ -115,7 +116,7 @@ class ThreeViewMap:
 
     def agree(self, which: Indices, rays: Array, pose: Array, sigma: float) -> Mask:
         """Return whether features (M,) seen along rays (M, 3) fit a pose."""
-        residual, _, variance = self._linearise(which, rays, pose, sigma)
+        residual, _, variance = self._linearise(which, _seen(rays), pose, sigma)
         return _within_gate(residual, variance)
 
     def locate(self, which: Indices, rays: Array, motion: PlanarMotion, sigma: float) -> Fit:
@@ -129,7 +130,7 @@ class ThreeViewMap:
         return self.fit(which, rays, starts[int(np.argmin(costs))], sigma)
 
     def _cost(self, which: Indices, rays: Array, pose: Array, sigma: float) -> float:
-        residual, _, variance = self._linearise(which, rays, pose, sigma)
+        residual, _, variance = self._linearise(which, _seen(rays), pose, sigma)
         return float(np.log1p((residual**2 / variance).sum(axis=1)).sum())
 
     def _offset(self, pose: Array, inverse: Array, which: Indices | slice) -> Array:
@@ -140,7 +141,7 @@ class ThreeViewMap:
         return np.asarray(self._bearing[which] - inverse[..., None] * pose[:2], dtype=np.float64)
 
     def _linearise(
-        self, which: Indices, rays: Array, pose: Array, sigma: float
+        self, which: Indices, seen: Array, pose: Array, sigma: float
     ) -> tuple[Array, Array, Array]:
         """Return residuals (M, 2), Jacobian (M, 2, 3) of the prediction, and variances (M, 2)."""
         tangent, inverse = self._tangent[which], self._inverse[which]
@@ -150,21 +151,22 @@ class ThreeViewMap:
         J[:, :, :2] = -inverse[:, None, None] * by_offset
         J[:, 0, 2] = 1.0
         variance = sigma**2 * _VARIANCES + (by_offset @ pose[:2]) ** 2 * self._variance[which, None]
-        return _residual(offset, tangent, rays, pose[2]), J, variance
+        return _residual(offset, tangent, seen, pose[2]), J, variance
 
     def _triangulate(self, initial: Array, sigma: float) -> tuple[Array, Array]:
         """Return inverse distances (N,) from the initial view, and their variances."""
         pose, tangent, every = self.initial_pose, self._tangent, slice(None)
+        seen = _seen(initial)
         # Both views have noise, and each residual is a difference of the two.
         variance = 2.0 * sigma**2 * _VARIANCES
         candidates = np.repeat(_INVERSE_DISTANCES[:, None], len(self), axis=1)
-        residual = _residual(self._offset(pose, candidates, every), tangent, initial, pose[2])
+        residual = _residual(self._offset(pose, candidates, every), tangent, seen, pose[2])
         cost = (residual**2 / variance).sum(axis=-1)
         inverse = _INVERSE_DISTANCES[np.argmin(cost, axis=0)]
         information = np.ones(len(self))
         for _ in range(5):
             offset = self._offset(pose, inverse, every)
-            residual = _residual(offset, tangent, initial, pose[2])
+            residual = _residual(offset, tangent, seen, pose[2])
             J = -_by_offset(offset, tangent) @ pose[:2]
             information = (J**2 / variance).sum(axis=-1) + _PRIOR_INVERSE_DISTANCE_SD**-2
             inverse = np.maximum(inverse + (J * residual / variance).sum(axis=-1) / information, 0)
@@ -175,14 +177,19 @@ def _within_gate(residual: Array, variance: Array) -> Mask:
     return np.asarray((residual**2 / variance < _GATE_SIGMAS**2).all(axis=1))
 
 
-def _residual(offset: Array, tangent: Array, rays: Array, phi: float) -> Array:
+def _seen(rays: Array) -> Array:
+    """Return the bearings and tangents of elevation (M, 2) of rays (M, 3)."""
+    right, forward, up = rays.T
+    return np.stack([np.arctan2(right, forward), up / np.hypot(right, forward)], axis=-1)
+
+
+def _residual(offset: Array, tangent: Array, seen: Array, phi: float) -> Array:
     """Return bearing and tangent residuals (..., M, 2): seen minus predicted."""
-    turn = np.arctan2(rays[:, 0], rays[:, 1]) - phi - np.arctan2(offset[..., 0], offset[..., 1])
-    seen = rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
-    norm = np.maximum(np.hypot(offset[..., 0], offset[..., 1]), 1e-9)
+    right, forward = offset[..., 0], offset[..., 1]
     residual = np.empty(offset.shape)
+    turn = seen[:, 0] - phi - np.arctan2(right, forward)
     residual[..., 0] = turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
-    residual[..., 1] = seen - tangent / norm
+    residual[..., 1] = seen[:, 1] - tangent / np.maximum(np.hypot(right, forward), 1e-9)
     return residual
 
 
