@@ -20,13 +20,13 @@ Floats = NDArray[np.float32]
 Grey = NDArray[np.uint8]
 Indices = NDArray[np.intp]
 
-#: Half the side of a patch (px); the patch has 2·7 + 1 pixels a side.
-HALF = 7
+#: Half the side of a patch (px); the patch has 2·6 + 1 pixels a side.
+HALF = 6
 # Damping of the affine part, against the information of a well textured patch of about 4: what
 # the texture says little about stays as it was.
 _DAMPING = np.array([1e-9, 0.1, 0.1] * 2)
 # Step (px) after which a patch is left alone.
-_SETTLED_PX = 0.05
+_SETTLED_PX = 0.08
 # Deviation (grey levels) up to which a patch counts as flat.
 _FLAT = np.float32(0.5)
 # Longest step of an iteration: of the place (px) and of the warp.
@@ -35,7 +35,7 @@ _LONGEST = np.array([1.5, 0.15, 0.15])
 _side = np.arange(-HALF, HALF + 1, dtype=np.float64)
 # Offsets (2, S) of a patch's pixels from its centre.
 _OFFSETS = np.stack([across.ravel() for across in np.meshgrid(_side, _side)])
-_WEIGHTS = np.exp(-(_OFFSETS**2).sum(axis=0) / (2 * (0.6 * HALF) ** 2))
+_WEIGHTS = np.exp(-(_OFFSETS**2).sum(axis=0) / (2 * (0.85 * HALF) ** 2))
 _WEIGHTS = (_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 _ROOT = np.sqrt(_WEIGHTS)
 # What a gradient is summed with: 1 for the place, the offsets for the warp (S, 3).
