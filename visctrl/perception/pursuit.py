@@ -94,7 +94,7 @@ class Pursuit:
         every = np.arange(len(landmarks))
         self._tracks = self._chosen(Tracks(every, landmarks.initial.points))
         self._at_start = len(self._tracks)
-        self._pose = landmarks.map.initial_pose
+        self._pose, self._motion = landmarks.map.initial_pose, np.zeros(3)
         self._sigma = _SIGMA_PX / canvas.scale
         self._turn = 0
 
@@ -111,13 +111,14 @@ class Pursuit:
         """Find the landmarks in the next picture."""
         source = Source(picture.frame, self._canvas.pixels)
         tracks = self._followed(picture, source)
-        fit = self._fit(tracks, self._pose)
+        fit = self._fit(tracks, self._pose + self._motion)
         found = self._search.take(picture)
         restarted = found is not None and not self._trusted(fit)
         if found is not None and restarted:
             tracks, fit = self._restarted(source, found)
         trusted, before = self._trusted(fit), 0 if restarted else int(fit.inliers.sum())
         if trusted:
+            self._motion = np.zeros(3) if restarted else fit.pose - self._pose
             tracks = self._mended(source, tracks, fit, found)
         self._tracks, self._picture = tracks, picture
         if not trusted or len(tracks) < self._limits.refill_share * self._at_start:
