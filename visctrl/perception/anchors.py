@@ -41,8 +41,7 @@ class Anchors:
 
     def __init__(self, landmarks: Landmarks) -> None:
         self._map = landmarks.map
-        # Numbers of patches: the target view's first, then the initial view's.
-        self._patches = landmarks.target_patches.joined(landmarks.initial_patches)
+        self._patches = landmarks.patches
         self._warps = np.zeros((2, len(landmarks), 2, 2))
         self._weights = np.zeros((2, len(landmarks)))
         self._calls = 0

@@ -36,8 +36,8 @@ class Landmarks:
 
     target: Described
     initial: Described
-    target_patches: Patches
-    initial_patches: Patches
+    #: The target view's patches, then the initial view's.
+    patches: Patches
     map: ThreeViewMap
     #: (N,) correlation of the two views' patches.
     likeness: Array
@@ -88,9 +88,9 @@ def find_landmarks(
     if kept.sum() < minimum:
         return Shared(len(first), int(kept.sum()), None)
     a, b = a.subset(kept), b.subset(kept)
-    patches = Patches(at_target, a.points)
+    patches = Patches((at_target, a.points))
     warps = np.eye(2) * (b.sizes / a.sizes)[:, None, None]
-    found = patches.align(at_start, np.arange(len(a)), b.points, warps, 12)
+    found = patches.align(at_start, np.arange(len(a)), b.points, warps, 12, 0.005)
     moved = np.linalg.norm(found.points - b.points, axis=-1)
     good = (found.score > ALIKE) & (moved < _MAX_CORRECTION_PX)
     points = np.where(good[:, None], found.points, b.points)
@@ -102,8 +102,7 @@ def find_landmarks(
     landmarks = Landmarks(
         a,
         b,
-        Patches(at_target, a.points),
-        Patches(at_start, b.points),
+        Patches((at_target, a.points), (at_start, b.points)),
         ThreeViewMap(a.rays, b.rays, motion, _ALIGNED_SIGMA_PX / canvas.scale),
         np.where(good, found.score, 0.0)[agree],
     )

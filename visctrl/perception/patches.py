@@ -25,7 +25,7 @@ HALF = 6
 # Damping of the affine part, against the information of a well textured patch of about 4: what
 # the texture says little about stays as it was.
 _DAMPING = np.array([1e-9, 0.1, 0.1] * 2)
-# Step (px) after which a patch is left alone.
+# Step (px) after which the next would be smaller than the noise.
 _SETTLED_PX = 0.08
 # Deviation (grey levels) up to which a patch counts as flat.
 _FLAT = np.float32(0.5)
@@ -90,39 +90,23 @@ class Patches:
 
     Parameters
     ----------
-    source : Source
-    points : (N, 2) centres, sub-pixel.
+    *views : (source, points)
+        Images and the centres (N, 2), sub-pixel, of the patches to cut from each; the numbers of
+        a view's patches follow those of the view before.
     """
 
-    def __init__(self, source: Source, points: Array) -> None:
-        eye = np.broadcast_to(np.eye(2), (len(points), 2, 2))
-        centred, deviation = _centred(source.sample(points, eye))
-        template = centred / deviation
-        right, up = (
-            source.sample(points + step, eye) - source.sample(points - step, eye)
-            for step in np.eye(2) / 2.0
-        )
-        # The gradients and the template of each patch, times the weights of its pixels.
-        self._rows = np.stack([right / deviation, up / deviation, template], axis=1) * _WEIGHTS
-        steepest = self._rows[:, :2, None] / _ROOT * _MOMENTS.T
-        steepest = steepest.reshape(len(points), 6, -1).astype(np.float64)
-        # What a change of offset or gain explains is none of the warp's business.
-        template = template * _ROOT
-        by_gain = steepest @ template[:, :, None]
-        steepest -= (steepest @ _ROOT)[:, :, None] * _ROOT + by_gain * template[:, None]
-        normal = steepest @ steepest.transpose(0, 2, 1) + np.diag(_DAMPING)
-        inverse = np.linalg.inv(normal)
-        self._solve = np.concatenate([inverse, -inverse @ by_gain], axis=2)
-
-    def joined(self, other: Patches) -> Patches:
-        """Return these patches and others, whose numbers follow."""
-        both = object.__new__(Patches)
-        both._rows = np.concatenate([self._rows, other._rows])
-        both._solve = np.concatenate([self._solve, other._solve])
-        return both
+    def __init__(self, *views: tuple[Source, Array]) -> None:
+        rows, solve = zip(*(_cut(source, points) for source, points in views), strict=True)
+        self._rows, self._solve = np.concatenate(rows), np.concatenate(solve)
 
     def align(
-        self, source: Source, which: Indices, points: Array, warps: Array, iterations: int = 4
+        self,
+        source: Source,
+        which: Indices,
+        points: Array,
+        warps: Array,
+        iterations: int,
+        settled_px: float = _SETTLED_PX,
     ) -> Alignment:
         """Align some patches with an image.
 
@@ -134,6 +118,9 @@ class Patches:
         points : (M, 2), warps : (M, 2, 2)
             Where to start.
         iterations : int
+            At most.
+        settled_px : float
+            A patch whose step is shorter is left alone.
 
         Returns
         -------
@@ -156,9 +143,32 @@ class Patches:
             # To first order, the inverse of the step before the warp.
             warps[moving] = warp = warp - warp @ step[:, :, 1:]
             points[moving] -= (warp @ step[:, :, :1])[:, :, 0]
-            # Where the step is small, the next would be smaller than the noise.
-            moving = moving[(step[:, :, 0] ** 2).sum(axis=1) > _SETTLED_PX**2]
+            moving = moving[(step[:, :, 0] ** 2).sum(axis=1) > settled_px**2]
         return Alignment(points, warps, score)
+
+
+def _cut(source: Source, points: Array) -> tuple[Floats, Array]:
+    """Return what patches at points (N, 2) are aligned by.
+
+    rows : (N, 3, S) the two gradients and the template, times the weights of the pixels.
+    solve : (N, 6, 7) what a step is made with of the moments of the gradients (6) and of the
+        template (1) with the grey levels seen.
+    """
+    eye = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+    centred, deviation = _centred(source.sample(points, eye))
+    across, down = (
+        source.sample(points + step, eye) - source.sample(points - step, eye)
+        for step in np.eye(2) / 2.0
+    )
+    rows = np.stack([across, down, centred], axis=1) / deviation[:, None] * _WEIGHTS
+    steepest = rows[:, :2, None] / _ROOT * _MOMENTS.T
+    steepest = steepest.reshape(len(points), 6, -1).astype(np.float64)
+    # What a change of offset or gain explains is none of the warp's business.
+    template = rows[:, 2] / _ROOT
+    by_gain = steepest @ template[:, :, None]
+    steepest -= (steepest @ _ROOT)[:, :, None] * _ROOT + by_gain * template[:, None]
+    inverse = np.linalg.inv(steepest @ steepest.transpose(0, 2, 1) + np.diag(_DAMPING))
+    return rows, np.concatenate([inverse, -inverse @ by_gain], axis=2)
 
 
 def _centred(grey: Floats) -> tuple[Floats, Floats]:
