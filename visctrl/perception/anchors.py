@@ -42,7 +42,8 @@ class Anchors:
     def __init__(self, landmarks: Landmarks) -> None:
         self._map = landmarks.map
         self._patches = landmarks.patches
-        self._warps = np.zeros((2, len(landmarks), 2, 2))
+        # Of each patch; the weights by views.
+        self._warps = np.zeros((2 * len(landmarks), 2, 2))
         self._weights = np.zeros((2, len(landmarks)))
         self._calls = 0
         self.expect(np.arange(len(landmarks)), self._map.initial_pose)
@@ -51,8 +52,8 @@ class Anchors:
         """Set the warps that a pose of the current view suggests; return the rays expected."""
         rays, scale = self._map.predict(which, pose)
         _, initially = self._map.predict(which, self._map.initial_pose)
-        self._warps[0, which] = np.eye(2) * scale[:, None, None]
-        self._warps[1, which] = np.eye(2) * (scale / initially)[:, None, None]
+        self._warps[which] = np.eye(2) * scale[:, None, None]
+        self._warps[len(self._map) + which] = np.eye(2) * (scale / initially)[:, None, None]
         return rays
 
     def hold(self, source: Source, which: Indices, points: Array, iterations: int) -> Anchored:
@@ -65,17 +66,15 @@ class Anchors:
         due = (which + self._calls) % _ASK_AGAIN == 0
         self._calls += 1
         view, track = np.nonzero((said >= _WORTH * said[::-1]) | due)
-        landmark, start = which[track], points[track]
-        warps = self._warps[view, landmark]
-        number = view * len(self._map) + landmark
-        found = self._patches.align(source, number, start, warps, iterations)
+        number, start = view * len(self._map) + which[track], points[track]
+        found = self._patches.align(source, number, start, self._warps[number], iterations)
         moved = np.linalg.norm(found.points - start, axis=-1)
         good = (found.score > ALIKE) & (moved < REACH_PX) & _sane(found.warps)
-        self._warps[view[good], landmark[good]] = found.warps[good]
+        self._warps[number[good]] = found.warps[good]
         weight, place = np.zeros(said.shape), np.zeros((*said.shape, 2))
         weight[view, track] = np.where(good, 1.0 / (1.02 - found.score) ** 3, 0.0)
         place[view, track] = found.points
-        self._weights[view, landmark] = weight[view, track]
+        self._weights.flat[number] = weight[view, track]
         total = weight.sum(axis=0)
         held = total > 0.0
         mean = (weight[..., None] * place).sum(axis=0) / np.where(held, total, 1.0)[:, None]

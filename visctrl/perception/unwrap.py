@@ -157,8 +157,10 @@ class Cylinder(Canvas):
         pixels, seen = camera.robot_pixels(self.rays(_grid(self.shape)))
         finite = np.where(np.isfinite(pixels), pixels, -9.0).astype(np.float32)
         self._map = np.ascontiguousarray(finite.transpose(2, 0, 1))
+        # What is left of the shrinking, twofold at most if it can be halved, interpolation does.
+        self._before = max(1, self.shrink // 2)
         small = np.stack([shrunk(m, self.shrink) for m in self._map])
-        self._small_map = (small + np.float32(0.5)) / self.shrink - np.float32(0.5)
+        self._small_map = (small + np.float32(0.5)) / self._before - np.float32(0.5)
         self.field = np.where(seen, 255, 0).astype(np.uint8)
         self.mask = self.field.copy()
         if self._full_turn:
@@ -171,7 +173,7 @@ class Cylinder(Canvas):
 
     def small(self, image: Grey) -> Grey:
         """Return the camera's image on the smaller cylinder."""
-        smaller = shrunk(image, self.shrink)
+        smaller = shrunk(image, self._before)
         return np.asarray(cv2.remap(smaller, *self._small_map, cv2.INTER_LINEAR), np.uint8)
 
     def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
@@ -182,7 +184,7 @@ class Cylinder(Canvas):
             cv2.remap(m, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             for m in self._small_map
         )
-        return self.shrink * (small_x + 0.5) - 0.5, self.shrink * (small_y + 0.5) - 0.5
+        return self._before * (small_x + 0.5) - 0.5, self._before * (small_y + 0.5) - 0.5
 
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of canvas points (..., 2)."""
