@@ -23,6 +23,8 @@ ALIKE = 0.8
 # Standard deviation of a position after alignment (px), and what SIFT may be off by.
 _ALIGNED_SIGMA_PX = 0.2
 _MAX_CORRECTION_PX = 3.0
+# Step (px) at which that alignment, done once for the whole run, ends.
+_SETTLED_PX = 0.005
 _GATE_SIGMAS = 4.0
 
 
@@ -79,8 +81,8 @@ def find_landmarks(
     The initial positions are then aligned on the target's patches, to a tenth of a pixel where
     the two look alike, and judged once more.
     """
-    (target_picture, a), (initial_picture, b) = target, initial
-    at_target, at_start = (Source(p.frame, canvas.pixels) for p in (target_picture, initial_picture))
+    (_, a), (_, b) = target, initial
+    at_target, at_start = (Source(view.frame, canvas.pixels) for view, _ in (target, initial))
     first, second = mutual_matches(a, b)
     a, b = a.subset(first), b.subset(second)
     motion = planar_inliers(a.rays, b.rays, canvas, seed)
@@ -90,7 +92,7 @@ def find_landmarks(
     a, b = a.subset(kept), b.subset(kept)
     patches = Patches((at_target, a.points))
     warps = np.eye(2) * (b.sizes / a.sizes)[:, None, None]
-    found = patches.align(at_start, np.arange(len(a)), b.points, warps, 12, 0.005)
+    found = patches.align(at_start, np.arange(len(a)), b.points, warps, 12, _SETTLED_PX)
     moved = np.linalg.norm(found.points - b.points, axis=-1)
     good = (found.score > ALIKE) & (moved < _MAX_CORRECTION_PX)
     points = np.where(good[:, None], found.points, b.points)

@@ -58,7 +58,7 @@ class Source:
     """
 
     image: Grey
-    pixels: Callable[[Floats, Floats], tuple[Floats, Floats]] = lambda columns, rows: (columns, rows)
+    pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]
 
     def sample(self, points: Array, warps: Array) -> Floats:
         """Return the grey levels (N, S) under warped patches.

@@ -109,6 +109,7 @@ class ThreeViewMap:
             pose += step
             if longest < _SETTLED:
                 break
+        # To first order, what is left at the pose as it is now.
         residual = residual - J @ step
         inliers = _within_gate(residual, variance)
         sure = inliers if inliers.any() else np.ones_like(inliers)

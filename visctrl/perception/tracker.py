@@ -45,12 +45,11 @@ def follow(
         return points.copy(), np.zeros(0, dtype=np.bool_)
     across = np.array([shift(previous, current, canvas), 0.0])
     expected = canvas.canonical(points + across)
-    start, guess = (((p + 0.5) / canvas.shrink - 0.5).astype(np.float32) for p in (points, expected))
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
         previous.small,
         current.small,
-        start,
-        guess,
+        ((points + 0.5) / canvas.shrink - 0.5).astype(np.float32),
+        ((expected + 0.5) / canvas.shrink - 0.5).astype(np.float32),
         winSize=_WINDOW,
         maxLevel=_LEVELS,
         criteria=_CRITERIA,
@@ -83,7 +82,7 @@ def returns(
 
 
 def shift(previous: Picture, current: Picture, canvas: Canvas) -> float:
-    """Return by how much (px of the canvas) a picture as a whole has moved to the right; 0 if it is unclear.
+    """Return by how much (px) a picture on a canvas has moved to the right; 0 if it is unclear.
 
     Phase correlation of the coarse pictures: on the unwrap this is the turn of the robot.
     """

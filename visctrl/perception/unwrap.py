@@ -155,12 +155,12 @@ class Cylinder(Canvas):
         rows = math.ceil((self._top - math.tan(low)) * self.scale)
         self.shape = (rows, columns + 2 * self._padding)
         pixels, seen = camera.robot_pixels(self.rays(_grid(self.shape)))
-        finite = np.where(np.isfinite(pixels), pixels, -9.0).astype(np.float32)
-        self._map = np.ascontiguousarray(finite.transpose(2, 0, 1))
-        # What is left of the shrinking, twofold at most if it can be halved, interpolation does.
+        pixels = np.where(np.isfinite(pixels), pixels, -9.0).astype(np.float32)
+        # In two parts: of a map with two channels OpenCV would round to thirty-seconds of a pixel.
+        self._map = tuple(np.ascontiguousarray(pixels[..., k]) for k in (0, 1))
+        # What remains to be shrunk, about twofold, interpolation averages over.
         self._before = max(1, self.shrink // 2)
-        small = np.stack([shrunk(m, self.shrink) for m in self._map])
-        self._small_map = (small + np.float32(0.5)) / self._before - np.float32(0.5)
+        self._small_map = tuple(_scaled(shrunk(m, self.shrink), self._before) for m in self._map)
         self.field = np.where(seen, 255, 0).astype(np.uint8)
         self.mask = self.field.copy()
         if self._full_turn:
@@ -169,22 +169,22 @@ class Cylinder(Canvas):
 
     def warp(self, image: Grey) -> Grey:
         """Return the camera's image on the cylinder (one bilinear remap)."""
-        return np.asarray(cv2.remap(image, *self._map, cv2.INTER_LINEAR), dtype=np.uint8)
+        x, y = self._map
+        return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def small(self, image: Grey) -> Grey:
         """Return the camera's image on the smaller cylinder."""
-        smaller = shrunk(image, self._before)
-        return np.asarray(cv2.remap(smaller, *self._small_map, cv2.INTER_LINEAR), np.uint8)
+        x, y = self._small_map
+        return np.asarray(cv2.remap(shrunk(image, self._before), x, y, cv2.INTER_LINEAR), np.uint8)
 
     def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
         """Return where in the image canvas points lie (see `Canvas.pixels`)."""
-        # Of a map with two channels, OpenCV would round the places to thirty-seconds of a pixel.
-        x, y = ((a + np.float32(0.5)) / self.shrink - np.float32(0.5) for a in (columns, rows))
-        small_x, small_y = (
-            cv2.remap(m, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        x, y = (_scaled(places, self.shrink) for places in (columns, rows))
+        column, row = (
+            cv2.remap(m, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
             for m in self._small_map
         )
-        return self._before * (small_x + 0.5) - 0.5, self._before * (small_y + 0.5) - 0.5
+        return _scaled(column, 1.0 / self._before), _scaled(row, 1.0 / self._before)
 
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of canvas points (..., 2)."""
@@ -251,6 +251,12 @@ def shrunk(image: NDArray[Any], side: int) -> NDArray[Any]:
     rows, columns = (length // side for length in image.shape[:2])
     whole = image[: side * rows, : side * columns]
     return np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA))
+
+
+def _scaled(places: Floats, side: float) -> Floats:
+    """Return columns or rows of pixels in an image ``side`` times as small."""
+    half = np.float32(0.5)
+    return np.asarray((places + half) / np.float32(side) - half, dtype=np.float32)
 
 
 def _grid(shape: tuple[int, int], step: int = 1) -> Array:
