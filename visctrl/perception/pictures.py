@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hal.central_camera import CentralCamera
 from hal.errors import InputError
 from hal.types import Frame
-from visctrl.perception.unwrap import COARSENESS, Canvas, shrunk
+from visctrl.perception.unwrap import Canvas, shrunk
 
 Grey = NDArray[np.uint8]
 
@@ -31,7 +31,7 @@ class Picture:
 
     frame : the camera's image as it came.
     small : (rows, columns) uint8, drawn at a size less by `Canvas.shrink`.
-    coarse : the small picture as it came, float32, less again by `COARSENESS`.
+    coarse : the small picture as it came, float32, less again by `Canvas.coarseness`.
     mean, contrast : of the frame as it came, within the field of view (grey levels).
     """
 
@@ -69,7 +69,7 @@ def draw(image: Grey, canvas: Canvas) -> Picture:
     """
     drawn = canvas.small(image)
     # Averaged over blocks of pixels, sensor noise no longer passes for contrast.
-    coarse = shrunk(drawn, COARSENESS)
+    coarse = shrunk(drawn, canvas.coarseness)
     average, deviation = cv2.meanStdDev(coarse, mask=canvas.coarse_field)
     mean, contrast = float(average.item()), float(deviation.item())
     gain = _SD / max(contrast, _BLANK_SD)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.perception.pictures import Picture
-from visctrl.perception.unwrap import COARSENESS, Canvas
+from visctrl.perception.unwrap import Canvas
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -89,7 +89,7 @@ def shift(previous: Picture, current: Picture, canvas: Canvas) -> float:
     (across, _), peak = cv2.phaseCorrelate(
         previous.coarse, current.coarse, _window(previous.coarse.shape)
     )
-    return canvas.shrink * COARSENESS * across if peak > _CLEAR_PEAK else 0.0
+    return canvas.shrink * canvas.coarseness * across if peak > _CLEAR_PEAK else 0.0
 
 
 @cache

@@ -25,10 +25,10 @@ Grey = NDArray[np.uint8]
 
 #: Columns repeated beyond the seam, so that no window or pyramid level meets an edge there.
 SEAM_PADDING_PX = 80
-#: Columns that a small picture keeps at least: enough to follow motion by, if not to measure it.
-SMALL_COLUMNS = 400
-#: Side (px) of the blocks of a small picture's pixels that a coarse picture averages.
-COARSENESS = 4
+# Pixels that a small picture keeps: enough to follow motion by, if not to measure it.
+_SMALL_PIXELS = 33_000
+# Side (px of the canvas) at least of the blocks that a coarse picture averages.
+_COARSE_PX = 4
 #: Steeper features are near the robot or overhead: badly stretched, and useless for a bearing.
 MAX_ELEVATION_DEG = 45.0
 
@@ -54,7 +54,12 @@ class Canvas(ABC):
     @cached_property
     def shrink(self) -> int:
         """Side (px) of the squares of the canvas that are one pixel of its small picture."""
-        return max(1, self.shape[1] // SMALL_COLUMNS)
+        return max(1, math.isqrt(self.shape[0] * self.shape[1] // _SMALL_PIXELS))
+
+    @cached_property
+    def coarseness(self) -> int:
+        """Side (px) of the squares of a small picture that are one pixel of the coarse one."""
+        return math.ceil(_COARSE_PX / self.shrink)
 
     @abstractmethod
     def warp(self, image: Grey) -> Grey:
@@ -66,8 +71,8 @@ class Canvas(ABC):
 
     @cached_property
     def coarse_field(self) -> Grey:
-        """The field of the coarse picture (see `COARSENESS`)."""
-        side = self.shrink * COARSENESS
+        """The field of the coarse picture."""
+        side = self.shrink * self.coarseness
         size = (self.shape[1] // side, self.shape[0] // side)
         whole = self.field[: side * size[1], : side * size[0]]
         return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST), np.uint8)
@@ -160,7 +165,10 @@ class Cylinder(Canvas):
         self._map = tuple(np.ascontiguousarray(pixels[..., k]) for k in (0, 1))
         # What remains to be shrunk, about twofold, interpolation averages over.
         self._before = max(1, self.shrink // 2)
-        self._small_map = tuple(_scaled(shrunk(m, self.shrink), self._before) for m in self._map)
+        half = np.float32(0.5)
+        self._small_map = tuple(
+            (shrunk(m, self.shrink) + half) / np.float32(self._before) - half for m in self._map
+        )
         self.field = np.where(seen, 255, 0).astype(np.uint8)
         self.mask = self.field.copy()
         if self._full_turn:
@@ -179,12 +187,9 @@ class Cylinder(Canvas):
 
     def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
         """Return where in the image canvas points lie (see `Canvas.pixels`)."""
-        x, y = (_scaled(places, self.shrink) for places in (columns, rows))
-        column, row = (
-            cv2.remap(m, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-            for m in self._small_map
-        )
-        return _scaled(column, 1.0 / self._before), _scaled(row, 1.0 / self._before)
+        border = cv2.BORDER_REPLICATE
+        x, y = (cv2.remap(m, columns, rows, cv2.INTER_LINEAR, borderMode=border) for m in self._map)
+        return np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
 
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of canvas points (..., 2)."""
@@ -251,12 +256,6 @@ def shrunk(image: NDArray[Any], side: int) -> NDArray[Any]:
     rows, columns = (length // side for length in image.shape[:2])
     whole = image[: side * rows, : side * columns]
     return np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA))
-
-
-def _scaled(places: Floats, side: float) -> Floats:
-    """Return columns or rows of pixels in an image ``side`` times as small."""
-    half = np.float32(0.5)
-    return np.asarray((places + half) / np.float32(side) - half, dtype=np.float32)
 
 
 def _grid(shape: tuple[int, int], step: int = 1) -> Array:
