@@ -25,10 +25,9 @@ Grey = NDArray[np.uint8]
 
 #: Columns repeated beyond the seam, so that no window or pyramid level meets an edge there.
 SEAM_PADDING_PX = 80
-# Pixels that a small picture keeps: enough to follow motion by, if not to measure it.
-_SMALL_PIXELS = 33_000
-# Side (px of the canvas) at least of the blocks that a coarse picture averages.
-_COARSE_PX = 4
+# Pixels of a small picture, about: enough to follow motion by, if not to measure it; and of a
+# coarse one, which shows the turn of the robot.
+_SMALL_PIXELS, _COARSE_PIXELS = 33_000, 5_000
 #: Steeper features are near the robot or overhead: badly stretched, and useless for a bearing.
 MAX_ELEVATION_DEG = 45.0
 
@@ -59,7 +58,8 @@ class Canvas(ABC):
     @cached_property
     def coarseness(self) -> int:
         """Side (px) of the squares of a small picture that are one pixel of the coarse one."""
-        return math.ceil(_COARSE_PX / self.shrink)
+        pixels = self.shape[0] * self.shape[1] / self.shrink**2
+        return max(1, round(math.sqrt(pixels / _COARSE_PIXELS)))
 
     @abstractmethod
     def warp(self, image: Grey) -> Grey:
