@@ -48,6 +48,12 @@ class Picture:
         """The picture at full size, (rows, columns) uint8; drawn when it is first asked for."""
         return np.asarray(cv2.LUT(self._canvas.warp(self.frame), self._levels), dtype=np.uint8)
 
+    @cached_property
+    def waves(self) -> NDArray[np.complex64]:
+        """Fourier transforms of the rows of the coarse picture, at zero mean and unit norm."""
+        rows = (self.coarse - np.float32(self.mean)) * self._canvas.fading
+        return np.asarray(np.fft.rfft(rows / np.linalg.norm(rows), axis=1), dtype=np.complex64)
+
     @property
     def blank(self) -> bool:
         """Whether there is nothing in it."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +16,8 @@ Mask = NDArray[np.bool_]
 # a row at once: 15 by 15 would take twice the time and lead no nearer.
 _WINDOW, _LEVELS = (8, 16), 3
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.05)
-# A correlation peak lower than this is no shift of the whole picture.
-_CLEAR_PEAK = 0.15
+# A correlation lower than this is no shift of the whole picture.
+_CLEAR_PEAK = 0.35
 
 
 def follow(
@@ -84,15 +82,13 @@ def returns(
 def shift(previous: Picture, current: Picture, canvas: Canvas) -> float:
     """Return by how much (px) a picture on a canvas has moved to the right; 0 if it is unclear.
 
-    Phase correlation of the coarse pictures: on the unwrap this is the turn of the robot.
+    Correlation of the coarse pictures along their rows; on the unwrap, the turn of the robot.
     """
-    (across, _), peak = cv2.phaseCorrelate(
-        previous.coarse, current.coarse, _window(previous.coarse.shape)
-    )
-    return canvas.shrink * canvas.coarseness * across if peak > _CLEAR_PEAK else 0.0
-
-
-@cache
-def _window(shape: tuple[int, int]) -> NDArray[np.float32]:
-    window = cv2.createHanningWindow(shape[::-1], cv2.CV_32F)
-    return np.asarray(window, dtype=np.float32)
+    columns = previous.coarse.shape[1]
+    likeness = np.fft.irfft((previous.waves.conj() * current.waves).sum(axis=0), columns)
+    best = int(likeness.argmax())
+    left, peak, right = likeness[[best - 1, best, (best + 1) % columns]].tolist()
+    if peak < _CLEAR_PEAK:
+        return 0.0
+    across = float(best + 0.5 * (left - right) / (left - 2.0 * peak + right))
+    return canvas.shrink * canvas.coarseness * (across - columns * round(across / columns))

@@ -77,6 +77,12 @@ class Canvas(ABC):
         whole = self.field[: side * size[1], : side * size[0]]
         return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
+    @cached_property
+    def fading(self) -> Floats:
+        """Weights of a coarse picture's pixels: none off the field, less towards either end."""
+        ends = np.hanning(self.coarse_field.shape[1])
+        return np.asarray(ends * (self.coarse_field > 0), dtype=np.float32)
+
     @abstractmethod
     def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
         """Return the columns and rows (N, M) in the image of canvas points or some beside it."""
