@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
 #: Eigenvalues smaller than this share of the larger one count as zero.
-_RANK = 1e-14
+RANK = 1e-14
 
 
 class Symmetric2(NamedTuple):
@@ -68,6 +68,6 @@ class Symmetric2(NamedTuple):
     def pseudo_inverse(self) -> Symmetric2:
         """Return the Moore–Penrose inverse."""
         small, large = self.eigenvalues
-        if small > _RANK * large:
+        if small > RANK * large:
             return self.inverse()
         return self.times(1.0 / large**2) if large > 0.0 else self
