@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from many_plans import plan_from
 
+from hal.central_camera import camera_names, load_camera
 from hal.types import Velocity
 from robots import Limits, load_robot
 from visctrl.control.shaping import CommandShaper
@@ -20,6 +21,7 @@ from visctrl.geometry.trifocal_fit import Coupling, coupling
 from visctrl.geometry.trifocal_fit import refine as refine_one
 from visctrl.geometry.trifocal_solvers import identical_views
 from visctrl.montecarlo.bases import Bases, Guards, Reckonings, Shapers
+from visctrl.montecarlo.eyes import pixels_of, rays_of
 from visctrl.montecarlo.fit import Couplings, couple, refine
 from visctrl.montecarlo.initial_views import InitialViews
 from visctrl.montecarlo.planar import Rays, identical, search
@@ -36,6 +38,10 @@ SIGMA = 2e-3
 
 def unit(rays: Array) -> Array:
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def parts(rays: Array) -> tuple[Array, Array, Array]:
+    return tuple(np.moveaxis(rays, 2, 0))
 
 
 def views_of(rng: np.random.Generator, poses: Array, points: Array, noise: float) -> Array:
@@ -61,11 +67,32 @@ def initial_state(starts: Array) -> Array:
     return np.stack([phi, np.arctan2(-x, -y) + phi], axis=1)
 
 
+@pytest.mark.parametrize("name", [*camera_names(), "tilted"])
+def test_eyes_see_what_the_camera_sees(name: str) -> None:
+    """Inside the image, outside of it and where there is none."""
+    rng = np.random.default_rng(7)
+    camera = load_camera("fisheye" if name == "tilted" else name)
+    if name == "tilted":
+        camera = camera.altered(pitch_deg=7.0, yaw_deg=30.0, skew=0.3, xi=1.2)
+    rays = rng.normal(size=(ROBOTS, 200, 3))
+    u, v, seen = pixels_of(camera, parts(rays))
+    pixels, valid = camera.robot_pixels(rays)
+    assert 0 < np.count_nonzero(seen) < seen.size
+    np.testing.assert_array_equal(seen, valid)
+    np.testing.assert_allclose(np.stack([u, v], axis=2), pixels, rtol=1e-12)
+    pixels = rng.uniform(-100.0, 900.0, (ROBOTS, 200, 2))
+    found, seen = rays_of(camera, pixels[..., 0], pixels[..., 1])
+    rays, valid = camera.robot_rays(pixels)
+    assert 0 < np.count_nonzero(seen) < seen.size
+    np.testing.assert_array_equal(seen, valid)
+    np.testing.assert_allclose(np.stack(found, axis=2), rays, rtol=1e-12, atol=1e-14)
+
+
 def test_the_relation_is_the_trilinear_one_in_any_view() -> None:
     rng = np.random.default_rng(0)
     rays = [unit(rng.normal(size=(ROBOTS, FEATURES, 3))) for _ in range(3)]
     state, z = rng.normal(size=(ROBOTS, 2)), rng.normal(size=(ROBOTS, 4))
-    relation = FixedViews(rays[0], rays[2]).relation(state, rays[1])
+    relation = FixedViews(parts(rays[0]), parts(rays[2])).relation(state, parts(rays[1]))
     products = relation.products(z)
     residual, slopes = relation.linearised(products)
     by_z, by_q = np.empty((ROBOTS, 4, FEATURES)), np.empty((ROBOTS, 2, FEATURES))
@@ -94,7 +121,7 @@ def test_fits_and_couplings_are_those_of_single_robots() -> None:
     ahead = trifocal.target_in_view(0.6 * starts) / np.hypot(*starts.T[:2])[:, None]
     z = trifocal.view_parameters(phi, ahead)
     z += rng.normal(size=z.shape) * np.linspace(0.0, 0.1, ROBOTS)[:, None]
-    relation = FixedViews(initial, target).relation(state, current)
+    relation = FixedViews(parts(initial), parts(target)).relation(state, parts(current))
     fits = refine(relation, z, np.full(ROBOTS, SIGMA), seen)
     coupled = couple(relation, fits)
     for k in range(ROBOTS):
@@ -147,7 +174,7 @@ def test_planar_motions_are_those_of_single_searches(noise: float, wrong: float)
     b[0] = a[0]  # identical views
     shared = (rng.random((ROBOTS, FEATURES)) > np.linspace(0.0, 0.95, ROBOTS)[:, None]) * 1.0
     sigma = np.full(ROBOTS, max(noise, SIGMA))
-    views, seeds = Rays(a, b, shared, sigma), list(range(ROBOTS))
+    views, seeds = Rays(parts(a), parts(b), shared, sigma), list(range(ROBOTS))
     with np.errstate(all="ignore"):
         motions, same = search(views, seeds, 4.0, 300), identical(views)
     sound = []
@@ -243,8 +270,8 @@ def test_robots_taken_and_joined_are_the_same_robots() -> None:
     plan = plan_from((0.3, -2.0, 10.0), 0)
     bases = Bases(np.random.default_rng(6).normal(size=(5, 3)), plan)
     bases.command(Velocities(np.arange(5.0) / 10.0, np.arange(5.0) / 10.0))
-    parts = [bases.take(np.array(index, dtype=np.intp)) for index in ([0, 3], [], [4, 1, 2])]
-    joined = Bases.joined(parts)
+    some = [bases.take(np.array(index, dtype=np.intp)) for index in ([0, 3], [], [4, 1, 2])]
+    joined = Bases.joined(some)
     for one in (bases, joined):
         one.sleep_until(one.now + 0.2)
     np.testing.assert_array_equal(joined.pose, bases.pose[[0, 3, 4, 1, 2]])

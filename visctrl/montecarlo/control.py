@@ -20,7 +20,7 @@ from visctrl.control.trifocal_smc import (
     descent,
 )
 from visctrl.montecarlo.bases import Shapers, bounded
-from visctrl.montecarlo.estimation import Seen
+from visctrl.montecarlo.estimation import Situations
 from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
 
 ADVANCE, POSITION, ORIENTATION, RETREAT = range(4)
@@ -55,7 +55,7 @@ class Laws(Robots):
         self._arrivals = Arrivals(count, options)
         self.finished = np.zeros(count, dtype=np.bool_)
 
-    def update(self, seen: Seen, dt: Array) -> Velocities:
+    def update(self, seen: Situations, dt: Array) -> Velocities:
         """Return the velocities for what is seen, and set ``finished``."""
         outputs = np.hypot(seen.right, seen.forward)
         self._phase[(self._phase == ADVANCE) & (outputs < THERE)] = ORIENTATION
@@ -81,7 +81,7 @@ class Laws(Robots):
             self._sent = self._sent.only(~halted)
         return self._sent
 
-    def _advance(self, seen: Seen, dt: Array) -> Velocities:
+    def _advance(self, seen: Situations, dt: Array) -> Velocities:
         """Return the velocities of the straight leg; those that have done it begin step 1."""
         options = self._options
         advancing = self._phase == ADVANCE
@@ -92,7 +92,7 @@ class Laws(Robots):
         ahead = np.where(advancing & ~done, options.advance_m_s, 0.0)
         return Velocities(ahead, np.zeros_like(ahead))
 
-    def _begin(self, robot: int, seen: Seen, scale_sd: float) -> None:
+    def _begin(self, robot: int, seen: Situations, scale_sd: float) -> None:
         """Start step 1 of one robot, from where it is."""
         right, forward = float(seen.right[robot]), float(seen.forward[robot])
         scale = float(seen.scale[robot])
@@ -110,7 +110,7 @@ class Laws(Robots):
         self._progress[robot] = self._waited[robot] = 0.0
         self._arrivals.forget(robot)
 
-    def _position(self, seen: Seen, which: Mask, dt: Array) -> Velocities:
+    def _position(self, seen: Situations, which: Mask, dt: Array) -> Velocities:
         """Return the velocities of step 1, and advance its clock; step 2 follows."""
         wanted = self._tracking(seen)
         most = FREE_TURN + CURVATURE * np.abs(wanted.v)
@@ -125,7 +125,7 @@ class Laws(Robots):
             self._phase[done], self._waited[done] = ORIENTATION, 0.0
         return wanted
 
-    def _tracking(self, seen: Seen) -> Velocities:
+    def _tracking(self, seen: Situations) -> Velocities:
         """Return what tracks the references (3.7)–(3.10), in the robots' axes.
 
         There the outputs are the target's position, whatever φ1 is.
@@ -153,7 +153,7 @@ class Laws(Robots):
         level = np.where(under_way, (1.0 + np.cos(angle)) / height, 0.0)
         return level, np.where(under_way, -pace * np.sin(angle) / height, 0.0)
 
-    def _retreat(self, seen: Seen, which: Mask) -> Velocities:
+    def _retreat(self, seen: Situations, which: Mask) -> Velocities:
         """Return the velocities straight back; step 1 begins again from far enough."""
         far = which & (seen.forward * seen.scale >= self._room)
         self._sent = self._sent.only(~far)
@@ -161,7 +161,7 @@ class Laws(Robots):
             self._begin(robot, seen, 0.0)
         return Velocities(np.where(far, 0.0, -self._options.advance_m_s), np.zeros(len(far)))
 
-    def _finish(self, seen: Seen, which: Mask, dt: Array) -> None:
+    def _finish(self, seen: Situations, which: Mask, dt: Array) -> None:
         """Find out who is there, and who is beside the target and has to come again."""
         options = self._options
         place = np.stack([seen.right * seen.scale, seen.forward * seen.scale, seen.heading], 1)

@@ -16,16 +16,17 @@ from visctrl.estimation.initial_from_bearings import InitialFromBearings
 from visctrl.estimation.initial_view import InitialView
 from visctrl.estimation.scale import ALIKE, DELAY_SD_S
 from visctrl.estimation.tensor_method import TensorOptions
+from visctrl.montecarlo.eyes import View
 from visctrl.montecarlo.fit import Couplings, Fits, couple, refine
 from visctrl.montecarlo.initial_views import InitialViews
 from visctrl.montecarlo.relation import FixedViews
-from visctrl.montecarlo.robots import Array, Mask, Numbers, Robots
+from visctrl.montecarlo.robots import Array, Mask, Numbers, Robots, taken
 from visctrl.plugins import Views
 
 Pair = tuple[Array, Array]
 
 
-class Seen(NamedTuple):
+class Situations(NamedTuple):
     """What the law reads off the tensors of R robots: see `trifocal_law.Situation`.
 
     right, forward : the target in units of T_N; lateral_sd : sd of the former. scale, scale_sd :
@@ -48,8 +49,8 @@ class Tensors(Robots):
 
     Parameters
     ----------
-    initial, target : (R, N, 3) arrays
-        Rays of the fixed views.
+    initial, target : View
+        The fixed views.
     sigma : (R,) array
         Standard deviations of a bearing (rad).
     views : InitialViews
@@ -60,17 +61,17 @@ class Tensors(Robots):
 
     def __init__(
         self,
-        initial: Array,
-        target: Array,
+        initial: View,
+        target: View,
         sigma: Array,
         views: InitialViews,
         options: TensorOptions,
         seeds: Numbers,
     ) -> None:
-        nothing = np.zeros(len(initial))
-        self._initial_rays, self._target_rays, self._seeds = initial, target, seeds
-        self._doubts = np.zeros(len(initial), dtype=np.int64)
-        self.fixed, self.views = FixedViews(initial, target), views
+        nothing = np.zeros(len(sigma))
+        self._initial, self._target_view, self._seeds = initial, target, seeds
+        self._doubts = np.zeros(len(sigma), dtype=np.int64)
+        self.fixed, self.views = FixedViews(initial.parts, target.parts), views
         self._sigma, self._options = sigma, options
         # Position and heading in the initial view's frame: as driven, and since last seen.
         self._driven = self._velocity = nothing, nothing
@@ -82,15 +83,16 @@ class Tensors(Robots):
         # Units of the initial distance to the metre, 0 while that is not known, and their sd.
         self._units = nothing, nothing
 
-    def update(self, current: Array, seen: Array, motion: Array, dt: Array, present: Mask) -> Seen:
+    def update(
+        self, current: View, seen: Array, motion: Array, dt: Array, present: Mask
+    ) -> Situations:
         """Return the situations.
 
         Parameters
         ----------
-        current : (R, N, 3) array
-            Unit rays; finite where a feature is not seen, too.
+        current : View
         seen : (R, N) array
-            1 where a feature is seen, 0 where it is not.
+            1 where a feature is seen in all views, else 0.
         motion, dt : (R, 3), (R,) arrays
             What the robot was told to drive since the last tick, in its own frame, and in what
             time (s).
@@ -99,7 +101,7 @@ class Tensors(Robots):
         """
         self._predict(motion, dt)
         views, view = self.views, self.views.state
-        relation, start = self.fixed.relation(view, current), self._predicted()
+        relation, start = self.fixed.relation(view, current.parts), self._predicted()
         fits = refine(relation, start, self._sigma, seen)
         agreeing = self._agreeing(fits, seen)
         share = max(DOUBTFUL, self._options.min_inliers)
@@ -110,7 +112,8 @@ class Tensors(Robots):
         for robot in np.flatnonzero(asked).tolist():
             one = np.array([robot])
             fit = fits.take(one), agreeing[one]
-            regular[robot] &= self.take(one)._keeps(current[one], seen[one], start[one], *fit)
+            some = View(*taken(tuple(current), one)), seen[one], start[one]
+            regular[robot] &= self.take(one)._keeps(*some, *fit)
         self._follow(fits, view)
         known = couple(relation, fits)
         views.update(known)
@@ -121,9 +124,7 @@ class Tensors(Robots):
         limit = self._options.threshold_sigmas * np.minimum(fits.spread, DRIFT * self._sigma)
         return np.asarray(((np.abs(fits.residuals) < limit[:, None]) * seen).sum(axis=1))
 
-    def _keeps(
-        self, current: Array, seen: Array, start: Array, fits: Fits, agreeing: Array
-    ) -> bool:
+    def _keeps(self, current: View, seen: Array, start: Array, fits: Fits, agreeing: Array) -> bool:
         """Return whether a single doubtful robot keeps its initial view.
 
         See `ConstrainedFit._reconsidered`; one that may have found a better view does not.
@@ -131,9 +132,9 @@ class Tensors(Robots):
         shown = seen[0] > 0.0
         views = Views(
             ids=np.flatnonzero(shown),
-            target=self._target_rays[0, shown],
-            initial=self._initial_rays[0, shown],
-            current=current[0, shown],
+            target=self._target_view.rays[0, shown],
+            initial=self._initial.rays[0, shown],
+            current=current.rays[0, shown],
             pixels=np.empty((0, 2)),
             sigma=float(self._sigma[0]),
             stamp=0.0,
@@ -145,7 +146,7 @@ class Tensors(Robots):
         found = search.find(views, driven, float(self._turned[0]), prior)
         if not isinstance(found, InitialView):
             return True
-        other = self.fixed.relation(np.array([[found.phi, found.bearing]]), current)
+        other = self.fixed.relation(np.array([[found.phi, found.bearing]]), current.parts)
         others = refine(other, start, self._sigma, seen)
         number = self._agreeing(others, seen)
         sound = number >= DOUBTFUL * seen.sum()
@@ -205,7 +206,7 @@ class Tensors(Robots):
         )
         self._units = _slopes(*self._normal)
 
-    def _seen(self, view: Array, fits: Fits, coupled: Couplings, regular: Mask) -> Seen:
+    def _seen(self, view: Array, fits: Fits, coupled: Couplings, regular: Mask) -> Situations:
         """Return what the law reads off the tensors (R, 8) of the fits.
 
         With the initial view (φ1, t_1) they have T121 = t_y1 z_1 + sin φ1 z_3, and the outputs,
@@ -234,7 +235,7 @@ class Tensors(Robots):
         units = np.where(known, units, 1.0)
         scale = np.abs(first) / (units * np.sqrt(cosine * cosine + sine * sine))
         towards = np.copysign(1.0, first)
-        return Seen(
+        return Situations(
             towards * right,
             towards * y * inverse,
             np.sqrt(np.maximum(variance, 0.0)),

@@ -93,7 +93,10 @@ def _step(relation: Relation, z: Array, sigma: Array, seen: Array) -> tuple[Fits
     relation.jacobian(slopes, rows[:, _BY_Z])
     rows[:, _RESIDUAL] = residual
     spread = np.maximum(1.4826 * _median(np.abs(residual), seen), sigma)
-    root = seen / (1.0 + np.square(residual * (1.0 / (WIDTH * spread))[:, None]))
+    scaled = residual * (1.0 / (WIDTH * spread))[:, None]
+    scaled *= scaled
+    scaled += 1.0
+    root = seen / scaled
     weights = root * root
     total = dot(root, root)
     curvature = 4.0 * dot(weights, root) - 3.0 * total

@@ -73,7 +73,7 @@ class Fleet(Robots):
     def against_target(self, view: View) -> Rays:
         """Return a view paired with that from the target, with what the initial one shows, too."""
         shared = view.seen * self.initial.seen * self.target.seen
-        return Rays(view.rays, self.target.rays, shared, self.sigma)
+        return Rays(view.parts, self.target.parts, shared, self.sigma)
 
     def settle(self, plan: Plan) -> None:
         """Wait until all stand, or the time allowed: see `visctrl.runtime.session`."""

@@ -28,7 +28,7 @@ from visctrl.geometry.planar import (
     two_point_motions,
 )
 from visctrl.geometry.trifocal_solvers import NOISE_MEDIAN, NOISE_MEDIAN_SD, SIGNIFICANCE
-from visctrl.montecarlo.robots import Array, Index, Mask, Robots
+from visctrl.montecarlo.robots import Array, Index, Mask, Parts, Robots
 
 #: Features on which every hypothesis is judged before the promising ones are on all.
 _FIRST = 12
@@ -53,7 +53,7 @@ class Rays(Robots):
 
     Parameters
     ----------
-    a, b : (R, N, 3) arrays
+    a, b : Parts
         Unit rays of the same features in both views; finite where they are not shared, too.
     shared : (R, N) array
         1 where both views show a feature, else 0.
@@ -61,9 +61,8 @@ class Rays(Robots):
         Standard deviation of a ray's direction (rad).
     """
 
-    def __init__(self, a: Array, b: Array, shared: Array, sigma: Array) -> None:
-        self.a, self.b = tuple(np.moveaxis(a, 2, 0)), tuple(np.moveaxis(b, 2, 0))
-        self.shared, self.sigma = shared, sigma
+    def __init__(self, a: Parts, b: Parts, shared: Array, sigma: Array) -> None:
+        self.a, self.b, self.shared, self.sigma = a, b, shared, sigma
 
     def only(self, which: Mask) -> Rays:
         """Return the same views with only some of the features shared."""
@@ -371,7 +370,7 @@ def median(values: Array, shared: Array) -> Array:
     return np.asarray(0.5 * (ordered[robots, (sizes - 1) // 2] + ordered[robots, sizes // 2]))
 
 
-def _along(rays: tuple[Array, ...], bearing: Array) -> Array:
+def _along(rays: Parts, bearing: Array) -> Array:
     """Return rays as components (3, R, N) along, across and above bearings (R,)."""
     s, c = np.sin(bearing)[:, None], np.cos(bearing)[:, None]
     right, forward, up = rays

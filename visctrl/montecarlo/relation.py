@@ -8,7 +8,7 @@ those of view n, the relation Σ T_ijk u_i v_j w_k = 0 of (3.1) and (3.2) falls 
     a P + b Q = 0,    a = t_1 × u,  b = u × R_1 w,  P = v × R_2 w,  Q = v × t_2.
 
 It says that the feature's distance from the target is the same in views 1 and 2. Turning a
-bearing by a right angle makes dot products of cross products, so with g = t_1 · u up to sign,
+bearing by a right angle makes dot products of cross products, so with g = −t_1 · u,
 d = u · R_1 w, D = v · R_2 w, E = v · t_2 every derivative is a product of these eight. That is
 a twentieth of the work of the 8 × 4 linear forms that the single fit uses for any tensor.
 
@@ -21,22 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from visctrl.montecarlo.robots import Array, Index, Robots
-
-
-class Bearings(NamedTuple):
-    """Bearings of unit rays as (sin θ, cos θ), and by how much a direction's error grows there."""
-
-    sine: Array
-    cosine: Array
-    slant: Array
-
-    @classmethod
-    def of(cls, rays: Array) -> Bearings:
-        """Read unit rays (R, N, 3)."""
-        right, forward = rays[..., 0], rays[..., 1]
-        slant = 1.0 / np.sqrt(np.maximum(right * right + forward * forward, 1e-18))
-        return cls(right * slant, forward * slant, slant)
+from visctrl.montecarlo.robots import Array, Index, Parts, Robots
 
 
 class Products(NamedTuple):
@@ -49,12 +34,16 @@ class Products(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Derivatives of the Sampson residual by the algebraic error and its three derivatives."""
+    """Derivatives of the Sampson residuals by the algebraic error and by its gradient's parts.
+
+    The parts are those by the bearings in views 1, 2 and 3, without the factors that say by how
+    much a direction's error grows when it is read as a bearing; these are in the slopes twice.
+    """
 
     error: Array
-    initial: Array
-    target: Array
-    current: Array
+    by_1: Array
+    by_2: Array
+    by_3: Array
 
 
 class FixedViews(Robots):
@@ -62,45 +51,47 @@ class FixedViews(Robots):
 
     Parameters
     ----------
-    initial, target : (R, N, 3) arrays
+    initial, target : Parts
         Unit rays.
     """
 
-    def __init__(self, initial: Array, target: Array) -> None:
-        u, w = Bearings.of(initial), Bearings.of(target)
-        self.initial, self.target = u, w
-        self._cross = u.sine * w.cosine - u.cosine * w.sine
-        self._dot = u.sine * w.sine + u.cosine * w.cosine
+    def __init__(self, initial: Parts, target: Parts) -> None:
+        (u, growth_1), (w, growth_3) = _bearings(initial), _bearings(target)
+        self._initial, self._target = u, w
+        self._growth_1, self._growth_3 = growth_1, growth_3
+        self._cross = u[0] * w[1] - u[1] * w[0]
+        self._dot = u[0] * w[0] + u[1] * w[1]
 
-    def relation(self, view: Array, current: Array) -> Relation:
-        """Return the relation for initial views (R, 2) and current rays (R, N, 3).
+    def relation(self, view: Array, current: Parts) -> Relation:
+        """Return the relation for initial views (R, 2) and current rays.
 
         view : heading φ1 and bearing of the target (rad); the target's distance is the unit.
         """
-        u, v, w = self.initial, Bearings.of(current), self.target
-        (phi, bearing) = view.T[:, :, None]
+        (sine, cosine), growth_2 = _bearings(current)
+        u, w = self._initial, self._target
+        phi, bearing = view.T[:, :, None]
         s, c = np.sin(phi), np.cos(phi)
         right, forward = np.sin(bearing), np.cos(bearing)
         return Relation(
-            a=right * u.cosine - forward * u.sine,
-            g=-(right * u.sine + forward * u.cosine),
+            a=right * u[1] - forward * u[0],
+            g=-right * u[0] - forward * u[1],
             b=c * self._cross - s * self._dot,
             d=c * self._dot + s * self._cross,
-            S=v.sine * w.cosine - v.cosine * w.sine,
-            C=v.sine * w.sine + v.cosine * w.cosine,
-            sine=v.sine,
-            cosine=v.cosine,
-            slant_1=u.slant,
-            slant_2=v.slant,
-            slant_3=w.slant,
+            S=sine * w[1] - cosine * w[0],
+            C=sine * w[0] + cosine * w[1],
+            sine=sine,
+            cosine=cosine,
+            growth_1=self._growth_1,
+            growth_2=growth_2,
+            growth_3=self._growth_3,
         )
 
 
 class Relation(NamedTuple):
     """The relation of R robots. z (R, 4) is (cos φ2, sin φ2, t_x2, t_y2) up to a factor.
 
-    a, g, b, d : of the initial view. S, C : v × w and v · w. sine, cosine : v. slant_n : of the
-    bearings in view n.
+    a, g, b, d : of the initial view. S, C : v × w and v · w. sine, cosine : v. growth_n : by how
+    much the variance of a direction grows when it is read as a bearing of view n.
     """
 
     a: Array
@@ -111,9 +102,9 @@ class Relation(NamedTuple):
     C: Array
     sine: Array
     cosine: Array
-    slant_1: Array
-    slant_2: Array
-    slant_3: Array
+    growth_1: Array
+    growth_2: Array
+    growth_3: Array
 
     def take(self, index: Index) -> Relation:
         """Return the relation of some of the robots."""
@@ -132,32 +123,49 @@ class Relation(NamedTuple):
     def linearised(self, view: Products) -> tuple[Array, Slopes]:
         """Return the Sampson residuals (rad) and their slopes."""
         P, Q, D, E = view
-        aD = self.a * D
-        error = self.a * P + self.b * Q
-        by_1 = self.slant_1 * (self.g * P + self.d * Q)
-        by_2 = self.slant_2 * (aD + self.b * E)
-        by_3 = -self.slant_3 * (self.d * Q + aD)
-        square = by_1 * by_1 + by_2 * by_2 + by_3 * by_3
+        aD, dQ = self.a * D, self.d * Q
+        by_1, by_2, by_3 = self.g * P + dQ, aD + self.b * E, -aD - dQ
+        grown_1, grown_2 = self.growth_1 * by_1, self.growth_2 * by_2
+        grown_3 = self.growth_3 * by_3
+        square = grown_1 * by_1
+        square += grown_2 * by_2
+        square += grown_3 * by_3
         inverse = 1.0 / np.sqrt(np.maximum(square, 1e-24))
-        residual = error * inverse
-        fall = -residual * inverse * inverse
-        return residual, Slopes(inverse, by_1 * fall, by_3 * fall, by_2 * fall)
+        residual = (self.a * P + self.b * Q) * inverse
+        fall = -residual * inverse
+        fall *= inverse
+        grown_1 *= fall
+        grown_2 *= fall
+        grown_3 *= fall
+        return residual, Slopes(inverse, grown_1, grown_2, grown_3)
 
     def jacobian(self, slopes: Slopes, out: Array) -> None:
         """Write the derivatives (R, 4, N) of the residuals by z to ``out``."""
-        error, by_1 = slopes.error, self.slant_1 * slopes.initial
-        by_2, by_3 = self.slant_2 * slopes.current, self.slant_3 * slopes.target
+        error, by_1, by_2, by_3 = slopes
         along, across = self.a * error + self.g * by_1, self.a * (by_2 - by_3)
-        out[:, 0] = self.S * along + self.C * across
-        out[:, 1] = self.S * across - self.C * along
+        np.multiply(self.S, along, out=out[:, 0])
+        out[:, 0] += self.C * across
+        np.multiply(self.S, across, out=out[:, 1])
+        out[:, 1] -= self.C * along
         along, across = self.b * error + self.d * (by_1 - by_3), self.b * by_2
-        out[:, 2] = self.sine * across - self.cosine * along
-        out[:, 3] = self.sine * along + self.cosine * across
+        np.multiply(self.sine, across, out=out[:, 2])
+        out[:, 2] -= self.cosine * along
+        np.multiply(self.sine, along, out=out[:, 3])
+        out[:, 3] += self.cosine * across
 
     def by_initial(self, view: Products, slopes: Slopes, out: Array) -> None:
         """Write the derivatives (R, 2, N) of the residuals by (φ1, bearing) to ``out``."""
         P, Q, D, E = view
-        error, by_1 = slopes.error, self.slant_1 * slopes.initial
-        by_2, by_3 = self.slant_2 * slopes.current, self.slant_3 * slopes.target
-        out[:, 0] = Q * (self.b * (by_1 - by_3) - self.d * error) - self.d * E * by_2
-        out[:, 1] = P * (self.a * by_1 - self.g * error) + self.g * D * (by_3 - by_2)
+        error, by_1, by_2, by_3 = slopes
+        np.multiply(Q, self.b * (by_1 - by_3) - self.d * error, out=out[:, 0])
+        out[:, 0] -= self.d * E * by_2
+        np.multiply(P, self.a * by_1 - self.g * error, out=out[:, 1])
+        out[:, 1] += self.g * D * (by_3 - by_2)
+
+
+def _bearings(rays: Parts) -> tuple[tuple[Array, Array], Array]:
+    """Return bearings as (sin θ, cos θ), and the growth of a direction's variance in them."""
+    right, forward, _ = rays
+    growth = 1.0 / np.maximum(right * right + forward * forward, 1e-18)
+    slant = np.sqrt(growth)
+    return (right * slant, forward * slant), growth

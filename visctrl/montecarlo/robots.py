@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+#: Right, forward and up, (R, N) each, of rays in the robots' frames.
+Parts = tuple[Array, Array, Array]
 
 
 class Velocities(NamedTuple):

@@ -25,7 +25,7 @@ class Trifocal(Stage):
         options, law = plan.main.estimator.options, plan.main.controller.options
         assert isinstance(options, TensorOptions)
         assert isinstance(law, TrifocalSmcOptions)
-        views, target = fleet.against_target(fleet.initial), fleet.target
+        views = fleet.against_target(fleet.initial)
         motions = search(views, fleet.seed.tolist(), options.threshold_sigmas, options.hypotheses)
         self._shared = views.shared
         self._known = motions.sound & ~identical(views)
@@ -34,7 +34,7 @@ class Trifocal(Stage):
         sign = np.array([[1.0, -1.0], [-1.0, 1.0]])
         initial = InitialViews(prior, motions.covariance * sign)
         self._tensors = Tensors(
-            fleet.initial.rays, target.rays, fleet.sigma, initial, options, fleet.seed
+            fleet.initial, fleet.target, fleet.sigma, initial, options, fleet.seed
         )
         self._laws = Laws(len(fleet), law, plan.limits)
         self._reckonings = Reckonings(len(fleet), plan.limits)
@@ -47,8 +47,9 @@ class Trifocal(Stage):
         regular = self._known & (features >= self.enough)
         self.fleet.fewest = np.minimum(self.fleet.fewest, features.astype(np.int64))
         # Whoever leaves for want of features still goes through this tick with the others.
-        seen = np.where(regular[:, None], seen, 1.0)
+        if not regular.all():
+            seen = np.where(regular[:, None], seen, 1.0)
         motion = self._reckonings.motion(self.sent, dt)
-        situation = self._tensors.update(view.rays, seen, motion, dt, regular & ~self.gone)
+        situation = self._tensors.update(view, seen, motion, dt, regular & ~self.gone)
         wanted = self._laws.update(situation, dt)
         return wanted, self._laws.finished, ~(regular & situation.regular)
