@@ -42,6 +42,11 @@ Results = Generator[tuple[T, R | Died], None, None]
 class Workers(Protocol):
     """Somewhere to work."""
 
+    @property
+    def count(self) -> int:
+        """How many items are worked on at a time."""
+        ...
+
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
         """Yield every item with its result, in the order in which they are done.
 
@@ -64,16 +69,16 @@ class LocalWorkers:
     """
 
     def __init__(self, count: int) -> None:
-        self._count = count
+        self.count = count
 
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
         """Yield every item with its result (see `Workers`)."""
         left = iter(items)
         while True:
             suspects: list[T] = []
-            with _pool(self._count) as pool:
+            with _pool(self.count) as pool:
                 fresh = _until(suspects, left)
-                for item, future in stream(_submitter(pool, work), fresh, lambda: self._count):
+                for item, future in stream(_submitter(pool, work), fresh, lambda: self.count):
                     try:
                         result = future.result()
                     except (BrokenProcessPool, WorkerStoppedError):

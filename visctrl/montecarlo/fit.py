@@ -16,6 +16,7 @@ from visctrl.montecarlo.robots import Array, Index, Mask, taken
 
 #: Rows of `Fits.rows`: derivatives by z, the residual, derivatives by the initial view.
 _BY_Z, _RESIDUAL, _BY_INITIAL = slice(0, 4), 4, slice(5, 7)
+_TINY = TINY * np.eye(4)
 
 
 class Fits(NamedTuple):
@@ -125,9 +126,10 @@ def _median(values: Array, seen: Array) -> Array:
 def _inverse_across(information: Array, z: Array) -> Array:
     """Return the pseudo-inverses (R, 4, 4) of informations whose null directions are z (R, 4)."""
     along = z[:, :, None] * z[:, None]
-    size = (np.trace(information, axis1=1, axis2=2) + 1e-300)[:, None, None]
-    completed = information + size * (along + TINY * np.eye(4))
-    return np.asarray(np.linalg.inv(completed) - along / size)
+    size = (np.einsum("rii->r", information) + 1e-300)[:, None, None]
+    across = np.linalg.inv(information + size * (along + _TINY))
+    across -= along / size
+    return np.asarray(across)
 
 
 def _length(vectors: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from hal.actuation import ActuationOptions
 from hal.central_camera import CentralCamera
@@ -34,14 +34,17 @@ def batchable(plan: Plan) -> bool:
     )
 
 
+def started_at(plan: Plan, start: Start, seed: int) -> Plan:
+    """Return the same plan with another start and seed."""
+    changed = plan.scenario.model_copy(update={"start": start, "seed": seed})
+    return replace(plan, scenario=changed)
+
+
 def alike(one: Plan, other: Plan) -> bool:
     """Whether two plans differ in start and seed only."""
-    same = {"start": Start(), "seed": 0}
-    mine, its = (plan.scenario.model_copy(update=same) for plan in (one, other))
-    if mine != its:
-        return False
-    pairs = ((getattr(one, f.name), getattr(other, f.name)) for f in fields(Plan))
-    return all(a is b or _equal(a, b) for a, b in pairs if a is not one.scenario)
+    mine, its = (started_at(plan, Start(), 0) for plan in (one, other))
+    pairs = ((getattr(mine, field.name), getattr(its, field.name)) for field in fields(Plan))
+    return all(a is b or _equal(a, b) for a, b in pairs)
 
 
 def _equal(one: object, other: object) -> bool:
