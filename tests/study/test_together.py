@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,13 @@ from robots.errors import InputError
 from visctrl.experiments import study_runs
 from visctrl.experiments.study import Study
 from visctrl.experiments.study_log import LOG, StudyLog
-from visctrl.experiments.study_runs import run_study, table_rows
-from visctrl.experiments.study_table import write_table
+from visctrl.experiments.study_runs import Group, plan_of, run_group, run_study, table_rows
+from visctrl.experiments.study_table import row_of, write_table
 from visctrl.experiments.trials import load_study
 from visctrl.experiments.workers import Died, LocalWorkers, Results, Workers
+from visctrl.montecarlo.kinds import batchable
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.runtime.session import run_session
 
 #: Cells that can be driven together, cells that cannot, and one whose runs are refused.
 STUDY: dict[str, Any] = {
@@ -167,3 +170,21 @@ def test_every_draw_is_checked_though_its_kind_is_known(tmp_path: Path) -> None:
     file = written(tmp_path, {**STUDY, "random": wide, "runs": 30})
     with pytest.raises(InputError, match=r"study.yaml: random: key 'start.phi_deg'.*360"):
         load_study(str(file)).check()
+
+
+@pytest.mark.parametrize("name", ["far-starts", "noise"])
+def test_shipped_studies_give_what_single_runs_give(name: str) -> None:
+    """Three runs out of the first cell and three out of the second, with and without noise."""
+    study = load_study(name)
+    runs = study.study.repeats
+    trials = [trial for trial in islice(study.trials(), 2 * runs) if trial.index % runs < 3]
+    for cell in (trials[:3], trials[3:]):
+        rows = run_group(Group(tuple(cell), together=True))
+        for trial, row in zip(cell, rows, strict=True):
+            assert batchable(plan_of(trial))
+            single = row_of(run_session(plan_of(trial)).summary)
+            numbers = {key for key, value in single.items() if isinstance(value, float)}
+            assert {"distance_cm", "phi_deg", "path_m", "time_s"} <= numbers
+            for key in single:
+                near = key in numbers and abs(row[key] - single[key]) < 1e-7
+                assert near or row[key] == single[key]
