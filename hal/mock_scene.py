@@ -132,7 +132,7 @@ def _kept(
     aside = _distance_to_way(points, starts[owner, :2])
     where((aside >= distance[0]) & ((aside < distance[1]) | (not camera.panoramic)))
     for share in np.linspace(1.0, 0.0, _WAYPOINTS).tolist():
-        where(camera.robot_pixels(_seen_from_each(points, share * starts[owner]))[1])
+        where(camera.robot_pixels(_seen_from_each(points, share * starts, owner))[1])
     return owner, points
 
 
@@ -148,10 +148,11 @@ def seen_from(points: Array, pose: Pose) -> Array:
     return np.asarray((points - (pose.x, pose.y, 0.0)) @ axes, dtype=np.float64)
 
 
-def _seen_from_each(points: Array, poses: Array) -> Array:
-    """Return points (N, 3) in the axes of a camera at a pose (N, 3) of its own for each."""
-    s, c = np.sin(poses[:, 2]), np.cos(poses[:, 2])
-    dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
+def _seen_from_each(points: Array, poses: Array, owner: Indices) -> Array:
+    """Return points (M, 3) in the axes of cameras at their owners' poses (R, 3)."""
+    x, y, phi = poses.T
+    s, c = np.sin(phi)[owner], np.cos(phi)[owner]
+    dx, dy = points[:, 0] - x[owner], points[:, 1] - y[owner]
     return np.stack([c * dx + s * dy, c * dy - s * dx, points[:, 2]], axis=1)
 
 
