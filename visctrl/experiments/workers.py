@@ -69,16 +69,21 @@ class LocalWorkers:
     """
 
     def __init__(self, count: int) -> None:
-        self.count = count
+        self._count = count
+
+    @property
+    def count(self) -> int:
+        """How many processes there are at a time."""
+        return self._count
 
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
         """Yield every item with its result (see `Workers`)."""
         left = iter(items)
         while True:
             suspects: list[T] = []
-            with _pool(self.count) as pool:
+            with _pool(self._count) as pool:
                 fresh = _until(suspects, left)
-                for item, future in stream(_submitter(pool, work), fresh, lambda: self.count):
+                for item, future in stream(_submitter(pool, work), fresh, lambda: self._count):
                     try:
                         result = future.result()
                     except (BrokenProcessPool, WorkerStoppedError):
