@@ -24,7 +24,8 @@ from visctrl.montecarlo.bases import Bases, Guards, Reckonings, Shapers
 from visctrl.montecarlo.eyes import pixels_of, rays_of
 from visctrl.montecarlo.fit import Couplings, couple, refine
 from visctrl.montecarlo.initial_views import InitialViews
-from visctrl.montecarlo.planar import Rays, identical, search
+from visctrl.montecarlo.planar import identical, search
+from visctrl.montecarlo.planar_fit import Rays
 from visctrl.montecarlo.relation import FixedViews
 from visctrl.montecarlo.robots import Velocities
 from visctrl.plugins import Health

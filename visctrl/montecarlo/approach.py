@@ -12,7 +12,8 @@ from visctrl.estimation.planar_motion import PlanarMotionOptions
 from visctrl.montecarlo.bases import Shapers
 from visctrl.montecarlo.eyes import View
 from visctrl.montecarlo.fleet import Fleet, Stage
-from visctrl.montecarlo.planar import Motions, Rays, linearise, refine, search
+from visctrl.montecarlo.planar import search
+from visctrl.montecarlo.planar_fit import Motions, Rays, linearise, refine
 from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
 from visctrl.runtime.plan import Plan, StagePlan
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hal.central_camera import CentralCamera
 from hal.mock import MockOptions, Purpose
-from visctrl.montecarlo.planar import median
+from visctrl.montecarlo.planar_fit import median
 from visctrl.montecarlo.robots import Array, Mask, Parts, Robots
 from visctrl.perception.features import FeaturesOptions
 from visctrl.runtime.plan import Plan

@@ -14,7 +14,7 @@ import numpy as np
 from hal.types import Pose
 from visctrl.montecarlo.bases import Bases, Guards
 from visctrl.montecarlo.eyes import Eyes, View
-from visctrl.montecarlo.planar import Rays
+from visctrl.montecarlo.planar_fit import Rays
 from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
 from visctrl.perception.features import FeaturesOptions
 from visctrl.runtime.plan import Plan
