@@ -35,6 +35,10 @@ Index = NDArray[np.intp]
 
 #: Numbers that all features share.
 CORE = 6
+#: The place of a feature is as uncertain, relative to its range, as φ1 is relative to the
+#: feature's parallax. Beyond one part in this many the transfer is no longer linear in the
+#: state, and a feature that the camera comes near would make the filter sure of a wrong pose.
+_PARALLAX_SIGMAS = 6.0
 #: A predicted bearing less certain than this (rad) is beyond what one linear step can use.
 _MAX_PREDICTED_SD = 0.1
 #: Innovations beyond this many standard deviations are errors, not noise.
@@ -192,7 +196,8 @@ class TransferFilter:
         transfer = self.transfer(index)
         innovation = wrap_half_turn(theta2 - transfer.bearing)
         core, slopes = self.core_jacobian(transfer), -transfer.by_bearings.T
-        used = np.flatnonzero(np.abs(transfer.parallax) > MINIMUM_PARALLAX)
+        least = max(MINIMUM_PARALLAX, _PARALLAX_SIGMAS * math.sqrt(self.P[4, 4]))
+        used = np.flatnonzero(np.abs(transfer.parallax) > least)
         H = _Slopes(core, slopes, CORE + index, CORE + self.count + index).at(used)
         HP = H.times(self.P)
         predicted = H.diagonal(HP)

@@ -45,10 +45,10 @@ class TransferOptions(Document):
     """
 
     initial_frames: Annotated[int, Field(ge=1, le=100)] = 5
-    scale_sd: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.04
+    scale_sd: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
     leg_min_m: Positive = 0.2
     leg_max_m: Positive = 1.5
-    rival: NonNegative = 6.0
+    rival: NonNegative = 50.0
     max_features: Annotated[int, Field(ge=5, le=500)] = 60
     exchange_frames: Annotated[int, Field(ge=1)] = 10
     blind_max_s: Positive = 3.0
