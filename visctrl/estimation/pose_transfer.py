@@ -67,7 +67,11 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     """Stands, drives a first leg, then filters; see `TransferFilter`."""
 
     Options: ClassVar[type[TransferOptions]] = TransferOptions
-    signals: ClassVar[tuple[Signal, ...]] = (*POSE_SIGNALS, Signal("features_used", "1"))
+    signals: ClassVar[tuple[Signal, ...]] = (
+        *POSE_SIGNALS,
+        Signal("features_used", "1"),
+        Signal("noise_factor", "1"),
+    )
 
     def __init__(self, options: TransferOptions, context: Context) -> None:
         super().__init__(options, context)
@@ -113,7 +117,10 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         found = self._last.values()
         if self._innovation.dof:
             found |= {"nis": self._innovation.nis, "nis_dof": float(self._innovation.dof)}
-        return found | {"features_used": float(self._innovation.dof)}
+        found["features_used"] = float(self._innovation.dof)
+        if self._filter is not None:
+            found["noise_factor"] = math.sqrt(self._filter.factor)
+        return found
 
     # --- first leg ---------------------------------------------------------------------------
 
