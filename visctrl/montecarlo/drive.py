@@ -21,7 +21,7 @@ from robots.unicycle import wrap_angle
 from visctrl.config import Scenario
 from visctrl.montecarlo.approach import Approach
 from visctrl.montecarlo.fleet import Fleet
-from visctrl.montecarlo.kinds import alike, batchable
+from visctrl.montecarlo.kinds import alike, batchable, kind_of
 from visctrl.montecarlo.trifocal import Trifocal
 from visctrl.runtime.plan import Plan, StagePlan
 from visctrl.runtime.session import run_session
@@ -83,14 +83,15 @@ def drive_together(plans: Sequence[Plan]) -> list[Ending | None]:
 
 def _kinds(plans: Sequence[Plan]) -> list[list[int]]:
     """Return the numbers of the plans that can be run together; of others there are none."""
-    kinds: list[tuple[Plan, list[int]]] = []
+    kinds: dict[str, list[list[int]]] = {}
     for number, plan in enumerate(plans):
-        known = next((members for one, members in kinds if alike(one, plan)), None)
+        similar = kinds.setdefault(kind_of(plan), [])
+        known = next((members for members in similar if alike(plans[members[0]], plan)), None)
         if known is not None:
             known.append(number)
         elif batchable(plan):
-            kinds.append((plan, [number]))
-    return [members for _, members in kinds]
+            similar.append([number])
+    return [members for similar in kinds.values() for members in similar]
 
 
 def _drive(plans: Sequence[Plan], numbers: Sequence[int]) -> Iterator[tuple[int, Ending]]:

@@ -143,7 +143,11 @@ class Tensors(Robots):
         phi, bearing = self.views.prior[0].tolist()
         prior = InitialView(phi, bearing, np.diag([np.inf, np.inf]))
         search = InitialFromBearings(self._options, int(self._seeds[0]))
-        found = search.find(views, driven, float(self._turned[0]), prior)
+        try:
+            found = search.find(views, driven, float(self._turned[0]), prior)
+        except np.linalg.LinAlgError:
+            # What comes of that is the ordinary session's to say.
+            return False
         if not isinstance(found, InitialView):
             return True
         other = self.fixed.relation(np.array([[found.phi, found.bearing]]), current.parts)

@@ -40,6 +40,11 @@ def started_at(plan: Plan, start: Start, seed: int) -> Plan:
     return replace(plan, scenario=changed)
 
 
+def kind_of(plan: Plan) -> str:
+    """Return what the scenarios of plans that differ in start and seed only have in common."""
+    return started_at(plan, Start(), 0).scenario.model_dump_json()
+
+
 def alike(one: Plan, other: Plan) -> bool:
     """Whether two plans differ in start and seed only."""
     mine, its = (started_at(plan, Start(), 0) for plan in (one, other))
