@@ -10,7 +10,7 @@ those of view n, the relation Σ T_ijk u_i v_j w_k = 0 of (3.1) and (3.2) falls 
 It says that the feature's distance from the target is the same in views 1 and 2. Turning a
 bearing by a right angle makes dot products of cross products, so with g = −t_1 · u,
 d = u · R_1 w, D = v · R_2 w, E = v · t_2 every derivative is a product of these eight. That is
-a twentieth of the work of the 8 × 4 linear forms that the single fit uses for any tensor.
+a fraction of the work of the 8 × 4 linear forms that the single fit uses for any tensor.
 
 R robots, N features; every array is (R, N) unless said.
 """
