@@ -45,7 +45,7 @@ class TransferOptions(Document):
     """
 
     initial_frames: Annotated[int, Field(ge=1, le=100)] = 5
-    scale_sd: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.03
+    scale_sd: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.02
     leg_min_m: Positive = 0.2
     leg_max_m: Positive = 1.5
     rival: NonNegative = 50.0
