@@ -53,7 +53,7 @@ class Faults(Document):
 
 def active(intervals: tuple[tuple[float, float], ...], t: float) -> bool:
     """Return whether ``t`` (s) lies in any of the intervals."""
-    return any(start <= t < end for start, end in intervals)
+    return bool(intervals) and any(start <= t < end for start, end in intervals)
 
 
 def check_link(faults: Faults, t: float) -> None:
