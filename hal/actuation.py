@@ -58,9 +58,8 @@ class Actuation:
 
     def __init__(self, limits: Limits | None, options: ActuationOptions) -> None:
         self._limits = limits
-        self._acceleration = limits and (
-            limits.acceleration_m_s2,
-            limits.angular_acceleration_rad_s2,
+        self._acceleration = (
+            (limits.acceleration_m_s2, limits.angular_acceleration_rad_s2) if limits else None
         )
         self._options = options
         self._pending: deque[tuple[float, Velocity]] = deque()

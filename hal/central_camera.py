@@ -183,7 +183,8 @@ class CentralCamera(Document):
         across = np.abs((self.fx * self.fy) * (a[0] * b[1] - a[1] * b[0]))
         length = np.hypot(self.fx * b[0] + self.skew * b[1], self.fy * b[1])
         turn = np.full(across.shape, np.inf)
-        return np.divide(length * depth * depth, across, out=turn, where=across > 0.0)
+        np.divide(length * depth * depth, across, out=turn, where=across > 0.0)
+        return turn
 
     @cached_property
     def _upright(self) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from hal.central_camera import CentralCamera
 from hal.types import Frame, Odometry, Pose, Velocity
@@ -50,7 +50,7 @@ class TickRecord:
     truth : true pose of the camera in the target's frame, None where unknown.
     event : what safety did, empty if nothing.
     blame : part of the previous tick that made this one miss deadlines, empty if none.
-    signals : every plugin's own numbers, by plugin role.
+    signals : every plugin's own numbers, by plugin name, where an observer reads them.
     seconds : duration of the parts in `STAGES`; the last is not known yet and left out.
     """
 
@@ -77,6 +77,9 @@ class Observer:
 
     The default is to ignore everything.
     """
+
+    #: Whether it reads `TickRecord.signals`: what nobody reads is not collected.
+    reads_signals: ClassVar[bool] = True
 
     def on_message(self, text: str) -> None:
         """Hear that something begins which takes a while."""

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -47,9 +47,12 @@ class End:
 class Meter(Observer):
     """Collects what the summary is made of, a few numbers a tick."""
 
+    #: But for what `Consistency` says, which is always there.
+    reads_signals: ClassVar[bool] = False
+
     def __init__(self) -> None:
         self.lateness = array("d")
-        self.parts = {name: array("d") for name in STAGES[:-1]}
+        self._seconds = array("d")
         self.features = array("l")
         self.consistency = ConsistencyMeter()
         self.path_length = 0.0
@@ -59,8 +62,7 @@ class Meter(Observer):
     def on_tick(self, record: TickRecord) -> None:
         """Take a tick into account."""
         self.lateness.append(record.tick.lateness)
-        for name, seconds in zip(self.parts, record.seconds, strict=True):
-            self.parts[name].append(seconds)
+        self._seconds.extend(record.seconds)
         if record.stage == "main":
             self.features.append(len(record.views))
         self.consistency.on_tick(record)
@@ -80,9 +82,16 @@ class Meter(Observer):
             return {"min": None, "median": None}
         return {"min": min(self.features), "median": float(np.median(self.features))}
 
+    @property
+    def parts(self) -> dict[str, array[float]]:
+        """What each part of the tick but the last took, per tick (s)."""
+        names = STAGES[:-1]
+        return {name: self._seconds[k :: len(names)] for k, name in enumerate(names)}
+
     def compute(self) -> Sequence[float]:
         """Return what the plugins took, per tick (s)."""
-        return list(map(sum, zip(*(self.parts[name] for name in COMPUTE), strict=True)))
+        parts = self.parts
+        return list(map(sum, zip(*(parts[name] for name in COMPUTE), strict=True)))
 
 
 def judge(plan: Plan, finished: bool, truth: Pose | None, collisions: int) -> End:
