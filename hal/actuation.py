@@ -100,7 +100,7 @@ class Actuation:
         else:
             dv, dw = self._acceleration
             self._set_point = Velocity(
-                _towards(now.v, wanted.v, dv * dt), _towards(now.omega, wanted.omega, dw * dt)
+                towards(now.v, wanted.v, dv * dt), towards(now.omega, wanted.omega, dw * dt)
             )
         return self._set_point
 
@@ -140,6 +140,6 @@ def _whole(value: float, bound: float) -> int:
     return int(math.copysign(nearest, value))
 
 
-def _towards(value: float, goal: float, step: float) -> float:
+def towards(value: float, goal: float, step: float) -> float:
     """Return ``value`` moved to ``goal`` by at most ``step``."""
     return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)
