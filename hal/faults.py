@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -68,7 +67,7 @@ def blackened(frame: Frame) -> Frame:
     features = None
     if frame.features is not None:
         features = Features(np.empty(0, dtype=np.int64), np.empty((0, 2)))
-    return replace(frame, image=image, features=features)
+    return frame._replace(image=image, features=features)
 
 
 class FaultyCapture:

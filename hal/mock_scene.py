@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,6 @@ Array = NDArray[np.float64]
 _WAYPOINTS = 5
 _BATCH = 4096
 _ROUNDS = 16
-#: So many times the points wanted are tried at once.
-_AT_ONCE = 4
 #: Nothing hangs higher than this over the camera (m).
 _CEILING_M = 2.0
 #: Nothing lies on the floor itself (m).
@@ -64,19 +61,21 @@ def scatter(
     InputError
         Start and target have no such field of view in common.
     """
+    draw = _around if camera.panoramic else _ahead
     poses = _way(start)
+    low = -mount.height_m + _FLOOR_MARGIN_M
     found: list[Array] = []
     total = 0
-    for candidates in _candidates(distance, camera, mount, start, rng):
-        # Mostly the first few are enough.
-        for first in range(0, len(candidates), _AT_ONCE * count):
-            points = candidates[first : first + _AT_ONCE * count]
-            for pose in poses:
-                points = points[camera.robot_pixels(seen_from(points, pose))[1]]
-            found.append(points)
-            total += len(points)
-            if total >= count:
-                return np.concatenate(found)[:count]
+    for _ in range(_ROUNDS):
+        points = draw(distance, camera, start, rng)
+        points = points[(points[:, 2] > low) & (points[:, 2] < _CEILING_M)]
+        points = points[_off_the_way(points, start, distance[0])]
+        for pose in poses:
+            points = points[camera.robot_pixels(seen_from(points, pose))[1]]
+        found.append(points)
+        total += len(points)
+        if total >= count:
+            return np.concatenate(found)[:count]
     raise InputError(
         f"start ({start.x:g} m, {start.y:g} m, {math.degrees(start.phi):g} deg): camera "
         f"'{camera.name}' sees too little there of what it sees from the target; start nearer, "
@@ -105,40 +104,34 @@ def _way(start: Pose) -> list[Pose]:
     return [Pose(k * start.x, k * start.y, k * phi) for k in np.linspace(1.0, 0.0, _WAYPOINTS)]
 
 
-def _candidates(
-    distance: tuple[float, float],
-    camera: CentralCamera,
-    mount: Mount,
-    start: Pose,
-    rng: np.random.Generator,
-) -> Iterator[Array]:
-    """Yield points (N, 3) that may serve if they are seen: over the floor, off the way."""
-    near, far = distance
-    low = -mount.height_m + _FLOOR_MARGIN_M
-    for _ in range(_ROUNDS):
-        points = _around(far, start, rng) if camera.panoramic else _ahead(distance, camera, rng)
-        points = points[(points[:, 2] > low) & (points[:, 2] < _CEILING_M)]
-        away = _distance_to_way(points, start)
-        # What lies ahead of the target may be far from the way.
-        yield points[(away >= near) & (away < far) if camera.panoramic else away >= near]
-
-
-def _around(far: float, start: Pose, rng: np.random.Generator) -> Array:
-    """Draw points, of any height in view, that may be within ``far`` of the way."""
+def _around(
+    distance: tuple[float, float], camera: CentralCamera, start: Pose, rng: np.random.Generator
+) -> Array:
+    """Draw points within ``far`` of the line from start to target, of any height in view."""
+    del camera
+    far = distance[1]
     low = np.minimum((start.x, start.y), 0.0) - far
     high = np.maximum((start.x, start.y), 0.0) + far
     plane = rng.uniform(low, high, size=(_BATCH, 2))
-    return np.column_stack([plane, rng.uniform(-_CEILING_M, _CEILING_M, size=_BATCH)])
+    points = np.column_stack([plane, rng.uniform(-_CEILING_M, _CEILING_M, size=_BATCH)])
+    return points[_distance_to_way(points, start) < far]
 
 
-def _ahead(distance: tuple[float, float], camera: CentralCamera, rng: np.random.Generator) -> Array:
+def _ahead(
+    distance: tuple[float, float], camera: CentralCamera, start: Pose, rng: np.random.Generator
+) -> Array:
     """Draw points spread evenly over the target's image, at even distances from the target."""
+    del start
     pixels = rng.uniform((0.0, 0.0), (camera.width - 1.0, camera.height - 1.0), size=(_BATCH, 2))
     rays, valid = camera.robot_rays(pixels)
     reach = rng.uniform(*distance, size=_BATCH)
     horizontal = np.hypot(rays[:, 0], rays[:, 1])
     keep = valid & (horizontal > 1e-3)
     return np.asarray(rays[keep] * (reach[keep] / horizontal[keep])[:, None])
+
+
+def _off_the_way(points: Array, start: Pose, clearance: float) -> NDArray[np.bool_]:
+    return np.asarray(_distance_to_way(points, start) >= clearance)
 
 
 def _distance_to_way(points: Array, start: Pose) -> Array:

@@ -107,7 +107,7 @@ class ConstrainedFit(TensorMethod):
         shared = coupling(relation, fit, initial.parameters, initial.jacobian)
         self._initial.update(shared)
         uncertainty = self._initial.view.covariance
-        if not np.isfinite(uncertainty).all():
+        if not math.isfinite(float(uncertainty.trace())):
             return Measurement.none(Health.DEGENERATE, "initial view not determined yet")
         return self._measurement(initial, uncertainty, shared, fit, inliers)
 

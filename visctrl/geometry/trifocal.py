@@ -228,13 +228,13 @@ def tensor_from_poses(pose_1: ArrayLike, pose_2: ArrayLike) -> Array:
 def current_view_basis(view_1: ArrayLike) -> Array:
     """Return G (..., 8, 4): with view 1 known, T = G·p2 is linear in the current view."""
     view = np.asarray(view_1, dtype=np.float64)
-    return np.asarray((view @ _BY_FIRST).reshape(*view.shape[:-1], 8, 4))
+    return np.asarray(view.dot(_BY_FIRST).reshape(*view.shape[:-1], 8, 4))
 
 
 def initial_view_basis(view_2: ArrayLike) -> Array:
     """Return (..., 8, 4): with view 2 known, T is linear in the initial view's parameters."""
     view = np.asarray(view_2, dtype=np.float64)
-    return np.asarray((view @ _BY_SECOND).reshape(*view.shape[:-1], 8, 4))
+    return np.asarray(view.dot(_BY_SECOND).reshape(*view.shape[:-1], 8, 4))
 
 
 def normalised(tensor: ArrayLike) -> Array:
@@ -245,9 +245,10 @@ def normalised(tensor: ArrayLike) -> Array:
 
 def normalised_covariance(tensor: Array, covariance: Array) -> Array:
     """Return the first-order covariance (8, 8) of `normalised` for one tensor's covariance."""
-    ratio = tensor / tensor[T121]
+    first = float(tensor[T121])
+    ratio = tensor / first
     rows = covariance - ratio[:, None] * covariance[T121]
-    return np.asarray((rows - rows[:, T121, None] * ratio) / tensor[T121] ** 2)
+    return np.asarray((rows - rows[:, T121, None] * ratio) / first**2)
 
 
 def dynamics(

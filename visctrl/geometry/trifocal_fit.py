@@ -8,7 +8,6 @@ z = (cos φ2, sin φ2, t_x2, t_y2) up to scale, and its three degrees of freedom
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -39,8 +38,7 @@ _LEAST_SHARE = 0.03
 CONVERGED = 0.02
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """Refined coordinates of a tensor.
 
     z : (k,) of unit length.
@@ -207,7 +205,8 @@ def coupling(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Arra
 
 def _geman_mcclure(residual: Array, spread: float) -> tuple[Array, float]:
     """Return the kernel's weights, and how much longer than theirs Newton's step is."""
-    root = 1.0 / (1.0 + np.square(residual * (1.0 / (WIDTH * spread))))
+    scaled = residual * (1.0 / (WIDTH * spread))
+    root = 1.0 / (1.0 + scaled * scaled)
     weights = root * root
     total = float(root.dot(root))
     # The second derivative of the cost is weights (4 root − 3) where that of the weights' own
@@ -218,8 +217,9 @@ def _geman_mcclure(residual: Array, spread: float) -> tuple[Array, float]:
 
 def _spread(residual: Array, sigma: float) -> float:
     """Return the robust standard deviation of the residuals, at least ``sigma``."""
-    middle = len(residual) // 2
-    return max(sigma, 1.4826 * float(np.partition(np.abs(residual), middle)[middle]))
+    size, middle = np.abs(residual), len(residual) // 2
+    size.partition(middle)
+    return max(sigma, 1.4826 * float(size[middle]))
 
 
 def _across(matrix: Array, z: Array) -> Array:

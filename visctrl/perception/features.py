@@ -70,7 +70,8 @@ class IdentifiedFeatures(Perception[FeaturesOptions]):
             self._target.ids, initial.ids, assume_unique=True, return_indices=True
         )
         self._require(len(here), "the target is not recognised from here: it shares")
-        target, initial = self._target.at(in_target), initial.at(here)
+        target = self._target.at(in_target)
+        initial = initial if len(here) == len(initial.ids) else initial.at(here)
         sigmas = np.stack([self._target_sigmas[in_target], self._sigmas(initial.rays)])
         self._fixed = _Fixed(target, initial, sigmas)
         return Match(
@@ -84,7 +85,8 @@ class IdentifiedFeatures(Perception[FeaturesOptions]):
         """Return the features that all three views show."""
         current, _ = _Seen.of(_features_of(frame), self._camera)
         fixed = self._fixed
-        if not np.array_equal(current.ids, fixed.initial.ids):
+        same = current.ids is fixed.initial.ids or np.array_equal(current.ids, fixed.initial.ids)
+        if not same:
             _, common, here = np.intersect1d(
                 fixed.initial.ids, current.ids, assume_unique=True, return_indices=True
             )

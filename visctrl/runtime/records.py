@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from hal.central_camera import CentralCamera
 from hal.types import Frame, Odometry, Pose, Velocity
@@ -40,8 +39,7 @@ class Setup(Protocol):
         """The camera's calibration."""
 
 
-@dataclass(frozen=True, slots=True)
-class TickRecord:
+class TickRecord(NamedTuple):
     """One tick.
 
     number : ticks since the run began, approach included.
