@@ -253,12 +253,12 @@ class CentralCamera(Document):
 
     def _in_field(self, z: Array) -> Mask:
         """Return whether unit rays with optical-axis component ``z`` are in the field of view."""
-        low, high = self._field
+        low, high = self.field
         # A field of view that is open in the middle, as nearly all are, has no upper bound.
         return np.asarray(z >= low if high > 1.0 else (z >= low) & (z <= high))
 
     @cached_property
-    def _field(self) -> tuple[float, float]:
+    def field(self) -> tuple[float, float]:
         """Least and greatest optical-axis component of a unit ray in the field of view."""
         low = math.cos(math.radians(self.max_polar_deg))
         high = math.cos(math.radians(self.min_polar_deg))
