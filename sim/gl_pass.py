@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import InputError
-from sim.gl_context import open_context
+from sim.gl_context import current, open_context
 from sim.raycast import Candidates
 from sim.texture_sheet import TextureSheet
 from sim.textures import OBLIQUENESS
@@ -52,7 +52,7 @@ class RayPass:
         self._corners = corners
         self._context: moderngl.Context | None = open_context()
         try:
-            with self._context:
+            with current(self._context):
                 self._load(self._context, rays, side, sheet)
         except BaseException:
             self.close()
@@ -75,8 +75,8 @@ class RayPass:
         tiles = np.column_stack([self._corners, ends - candidates.counts, ends]).astype(np.int32)
         alone = candidates.filled & (candidates.counts == 1)
         picture = np.empty(self._size, np.uint8)
-        with self._context as context:
-            self._write_hits(context, hits)
+        with current(self._context):
+            self._write_hits(self._context, hits)
             self._alone.draw(tiles[alone])
             self._mixed.draw(tiles[~alone & (candidates.counts > 0)])
             self._target.read_into(picture, components=1, alignment=1)
@@ -161,12 +161,17 @@ class _Tiles:
 
 def _check_sizes(context: moderngl.Context, rays: Single, sheet: TextureSheet) -> None:
     rows, columns = sheet.levels[0].shape
-    most = context.info["GL_MAX_TEXTURE_SIZE"]
+    most = _most_texels(context)
     if max(*rays.shape, rows, columns) > most:
         raise InputError(
             f"renderer 'gl' needs textures of {columns}x{rows}, this OpenGL driver allows "
             f"{most}x{most}: use a smaller scene, or renderer 'tiny'"
         )
+
+
+def _most_texels(context: moderngl.Context) -> int:
+    """Return the largest side of a texture."""
+    return int(context.info["GL_MAX_TEXTURE_SIZE"])
 
 
 def _source(name: str) -> str:
