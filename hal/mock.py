@@ -20,7 +20,7 @@ from hal.clock import WallClock, WorldClock
 from hal.errors import LinkError
 from hal.faults import Faults, FaultyCapture, check_link
 from hal.interfaces import Backend, Base, Camera
-from hal.mock_scene import scatter, seen_from
+from hal.mock_scene import scatter, view_matrix
 from hal.types import STANDSTILL, Features, Frame, Odometry, Pose, Velocity
 from robots import Limits, Robot
 from robots.documents import Document
@@ -148,13 +148,12 @@ class MockBackend(Backend):
             Purpose.SCENE.generator(self._seed),
         )
         actuation = _EXACT if options.ideal else options.actuation
-        scatter_rng = Purpose.SCATTER.generator(self._seed)
         motion = _Motion(
             self._start,
             self._mount.forward_m,
             self._limits,
             actuation,
-            lambda: _scattered(options.scatter, scatter_rng),
+            _scattering(options.scatter, Purpose.SCATTER.generator(self._seed)),
         )
         clock = WorldClock(motion.advance, WallClock() if self._realtime else None)
         drops = FaultyCapture(options.faults, Purpose.DROPS.generator(self._seed))
@@ -269,12 +268,15 @@ class _Projector:
         self.points = points
         self._camera = camera
         self.noise = noise
+        self._homogeneous = np.column_stack([points, np.ones(len(points))])
         self._ids = np.arange(len(points), dtype=np.int64)
 
     def image(self, pose: Pose, rng: np.random.Generator) -> Features:
-        pixels, seen = self._camera.robot_pixels(seen_from(self.points, pose))
+        pixels, seen = self._camera.robot_pixels(self._homogeneous @ view_matrix(pose))
         if self.noise > 0.0:
             pixels += rng.normal(scale=self.noise, size=pixels.shape)
+        if seen.all():
+            return Features(self._ids, pixels)
         return Features(self._ids[seen], pixels[seen])
 
 
@@ -309,7 +311,7 @@ class _Motion:
             step = left if self._instant or self.actuation.steady else min(left, _STEP_S)
             self.set_point = self.actuation.velocity_at(self._time, step)
             executed = self._options.executed(self.set_point)
-            if executed != STANDSTILL:
+            if scatter != STANDSTILL and executed != STANDSTILL:
                 executed = Velocity(executed.v + scatter.v, executed.omega + scatter.omega)
             self._axle = along_arc(self._axle, executed, step)
             self._wheels = along_arc(self._wheels, self.set_point, step)
@@ -330,9 +332,14 @@ class _Motion:
         self.set_point = STANDSTILL
 
 
-def _scattered(scatter: Scatter, rng: np.random.Generator) -> Velocity:
-    """Draw by how much a tick's velocity differs from the commanded one."""
+def _scattering(scatter: Scatter, rng: np.random.Generator) -> Callable[[], Velocity]:
+    """Return what draws by how much a tick's velocity differs from the commanded one."""
     if scatter == Scatter():
-        return STANDSTILL
-    v, omega = rng.normal(size=2).tolist()
-    return Velocity(v * scatter.v_m_s, omega * math.radians(scatter.omega_deg_s))
+        return lambda: STANDSTILL
+    v_sd, omega_sd = scatter.v_m_s, math.radians(scatter.omega_deg_s)
+
+    def draw() -> Velocity:
+        v, omega = rng.normal(size=2).tolist()
+        return Velocity(v * v_sd, omega * omega_sd)
+
+    return draw

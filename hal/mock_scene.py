@@ -143,9 +143,17 @@ def _parted(owner: Indices, points: Array, owners: Sequence[int]) -> list[Array]
 
 def seen_from(points: Array, pose: Pose) -> Array:
     """Return points (N, 3) of the target's frame in the axes of a camera at ``pose``."""
-    s, c = math.sin(pose.phi), math.cos(pose.phi)
-    axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray((points - (pose.x, pose.y, 0.0)) @ axes, dtype=np.float64)
+    to_camera = view_matrix(pose)
+    return np.asarray(points @ to_camera[:3] + to_camera[3], dtype=np.float64)
+
+
+def view_matrix(pose: Pose) -> Array:
+    """Return the matrix (4, 3) that takes points (N, 4) as (x, y, z, 1) to a camera's axes."""
+    x, y, phi = pose
+    s, c = math.sin(phi), math.cos(phi)
+    return np.array(
+        [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0], [-c * x - s * y, s * x - c * y, 0.0]]
+    )
 
 
 def _seen_from_each(points: Array, poses: Array, owner: Indices) -> Array:

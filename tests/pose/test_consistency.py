@@ -60,7 +60,8 @@ def test_nothing_is_judged_before_there_is_a_pose_or_without_truth() -> None:
 
 
 def test_a_run_reports_its_consistency(tmp_path: Path) -> None:
-    summary = run({"mock.noise_px": 0.5, "duration_s": 30.0}, tmp_path / "run").summary
+    settings = {"mock.noise_px": 0.5, "duration_s": 30.0}
+    summary = run(settings, tmp_path / "run").summary
     with (tmp_path / "run" / "ticks.csv").open() as file:
         ticks = list(csv.DictReader(file))
     column = [float(v) for row in ticks if (v := row["consistency.nees [1]"])]
@@ -68,6 +69,8 @@ def test_a_run_reports_its_consistency(tmp_path: Path) -> None:
     assert summary["consistency"]["nees"]["mean"] == pytest.approx(sum(column) / len(column) / 3)
     assert 0.9 < summary["consistency"]["nis"]["mean"] < 1.1
     assert summary["consistency"]["nis"]["inside"] > 0.9
+    # Where nobody reads the signals as well.
+    assert run(settings).summary["consistency"] == summary["consistency"]
 
 
 def test_noise_that_the_filter_does_not_know_of_shows(tmp_path: Path) -> None:

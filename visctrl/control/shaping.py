@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from hal.actuation import towards
 from hal.types import STANDSTILL, Velocity
 from robots import Limits
 
@@ -48,10 +49,8 @@ class CommandShaper:
             return wanted
         bounded, _ = self.bounded(wanted)
         ramped = Velocity(
-            _towards(self._last.v, bounded.v, self._limits.acceleration_m_s2 * dt),
-            _towards(
-                self._last.omega, bounded.omega, self._limits.angular_acceleration_rad_s2 * dt
-            ),
+            towards(self._last.v, bounded.v, self._limits.acceleration_m_s2 * dt),
+            towards(self._last.omega, bounded.omega, self._limits.angular_acceleration_rad_s2 * dt),
         )
         self._last = ramped
         return self._rounded(ramped) if self._whole_units else ramped
@@ -70,7 +69,3 @@ class CommandShaper:
             self._carry[k] = due - whole
             rounded.append(whole * step)
         return Velocity(*rounded)
-
-
-def _towards(value: float, goal: float, step: float) -> float:
-    return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)
