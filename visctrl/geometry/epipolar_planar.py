@@ -14,15 +14,17 @@ length, and one at infinity (c = 0) is as good as any other. Only the horizon's 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robots.unicycle import wrap_angle
-from visctrl.geometry.epipolar_points import PointPair
-from visctrl.geometry.parallax import meeting
+from robots.unicycle import wrapped
+from visctrl.geometry.epipolar_points import LinearPoints, PointPairs, Vector, complement
 from visctrl.geometry.planar import PlanarMotion
+from visctrl.geometry.robust_fit import Descent, Normal, medians, settle
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -30,8 +32,6 @@ Mask = NDArray[np.bool_]
 
 #: Three features fix m; fewer than this leave no residual to judge it by.
 MINIMUM_FEATURES = 5
-#: Scale of the soft-L1 kernel in standard deviations of the residual.
-_KERNEL_SIGMAS = 1.5
 #: A direction of m shows when its information exceeds the noise's by this many deviations.
 _SIGNIFICANCE = 5.0
 #: Standard deviation (rad) of an epipole's bearing beyond which it counts as undetermined.
@@ -42,24 +42,20 @@ _NEAREST = 10.0
 _MAX_NOISE = 10.0
 #: Parallax, in a coordinate's noise, that shows that the view has moved.
 _MOVED_SIGMAS = 8.0
+#: Parallax (in a coordinate's noise) from which a feature has a full vote, and that which it may
+#: have against the others.
+_FULL_VOTE_SIGMAS, _BEHIND_SIGMAS = 3.0, 8.0
 #: Why a motion is not determined although the views differ.
 ONE_PLANE = (
     "all features lie in one plane, and two motions explain them: let the camera see things at "
     "different distances"
 )
-#: Hypotheses that are refined before the best is chosen.
-_FINALISTS = 4
-#: Newton steps on the best of them, at most, and those that allow for a poor start.
-_STEPS, _WIDE_STEPS = 8, 3
-#: A low quantile of the squared residuals, few outliers reaching it, and a normal variance's own.
-_QUANTILE, _NORMAL_QUANTILE = 0.3, 0.1485
-#: A step of m shorter than this part of a coordinate's noise ends a descent.
-_STILL = 1e-3
-#: Squared residuals over what noise explains from which a start is far off.
-_FAR_OFF = 2.0
-
-_DIAGONAL = np.arange(4)
-_DAMPING = 1e-9 * np.eye(4)
+#: Why the epipoles are not determined although their turn is.
+SHORT_BASELINE = "short baseline: the direction of the epipoles is not determined"
+#: Hypotheses that are refined before the best is chosen, and by how many steps.
+_FINALISTS, _FINALIST_STEPS = 4, 2
+#: Steps on the best of them, at most, and the longest.
+_STEPS, _LONGEST_STEP = 12, 0.3
 
 
 @dataclass(frozen=True)
@@ -69,10 +65,10 @@ class PlanarEpipoles(PlanarMotion):
     ``phi`` is the difference of the baseline's two bearings, B's heading if that calibration
     is right.
 
-    vector : (4,), m = (c_a, s_a, c_b, s_b) of unit length, pointing from A's centre to B's.
+    vector : m = (c_a, s_a, c_b, s_b) of unit length, pointing from A's centre to B's.
     """
 
-    vector: Array = field(default_factory=lambda: np.zeros(4))
+    vector: Vector = (0.0, 0.0, 0.0, 0.0)
 
 
 def constraint_rows(points_a: ArrayLike, points_b: ArrayLike) -> Array:
@@ -106,14 +102,15 @@ def null_vectors(rows: ArrayLike) -> Array:
 def sampson_residuals(
     points_a: ArrayLike, points_b: ArrayLike, m: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return the Sampson residuals (..., N) of points (N, 2) for m (..., 4), and ∂/∂m (..., 4, N).
+    """Return the Sampson residuals (N,) of points (N, 2) for m (4,), and ∂/∂m (4, N).
 
     To first order a residual has the standard deviation of one image coordinate.
     """
-    pair = PointPair.of(
-        np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
-    )
-    return pair.residuals(np.asarray(m, dtype=np.float64))
+    vector = np.asarray(m, dtype=np.float64)
+    length = float(np.linalg.norm(vector))
+    linear = PointPairs.of(points_a, points_b).linearised([_vector(vector / length)])
+    # The residual is the same for any length of m: nothing changes along m itself.
+    return linear.residual[0], linear.frames[0, 1:].T @ linear.jacobian[0] / length
 
 
 def ransac_planar_epipoles(
@@ -140,25 +137,24 @@ def ransac_planar_epipoles(
     hypotheses : int
         Number of three-point samples, all scored in one array operation.
     """
-    a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
-    if len(a) < MINIMUM_FEATURES:
-        return _lost(len(a), f"too few features: {len(a)}, {MINIMUM_FEATURES} are needed")
-    pair = PointPair.of(a, b)
-    m = null_vectors(pair.rows.T[_samples(len(a), hypotheses, seed)])
-    limit2 = (threshold_sigmas * sigma) ** 2
-    cost = np.minimum(pair.squared(m), limit2).sum(axis=-1)
+    pairs = PointPairs.of(points_a, points_b)
+    if pairs.features < MINIMUM_FEATURES:
+        return _too_few(pairs.features)
+    m = null_vectors(pairs.rows[0].T[_samples(pairs.features, hypotheses, seed)])
+    limit = threshold_sigmas * sigma
+    cost = np.minimum(pairs.squared(m), limit**2).sum(axis=-1)
     best = m[np.argpartition(cost, _FINALISTS)[:_FINALISTS]]
-    best = _descend(pair, best, np.ones(len(a), dtype=np.bool_), sigma, limit2, steps=2)
-    squared = pair.squared(best)
-    winner = int(np.argmin(np.minimum(squared, limit2).sum(axis=-1)))
-    forward, plausible = _directed(pair, best[winner], sigma)
-    return _settle(pair, forward, plausible, sigma, limit2)
+    descents = [_Epipoles(_vector(start), _FINALIST_STEPS) for start in best]
+    settle(pairs.linearised, descents, sigma, limit=limit)
+    ends = [descent.ahead for descent in descents]
+    cost = np.minimum(pairs.squared(np.array(ends)), limit**2).sum(axis=-1)
+    return refine_epipoles(pairs, [ends[int(np.argmin(cost))]], sigma, limit=limit)[0]
 
 
 def refine_planar_epipoles(
     points_a: ArrayLike,
     points_b: ArrayLike,
-    start: ArrayLike,
+    start: Vector,
     sigma: float,
     *,
     threshold_sigmas: float = 4.0,
@@ -167,41 +163,59 @@ def refine_planar_epipoles(
 
     Parameters
     ----------
-    start : (4,) array
-        m to start from. Features more than twice the threshold away from it are outliers.
+    start : m to start from.
     """
-    a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
-    m = np.asarray(start, dtype=np.float64)
-    limit2 = (threshold_sigmas * sigma) ** 2
-    if len(a) < MINIMUM_FEATURES:
-        return _lost(len(a), f"too few features: {len(a)}, {MINIMUM_FEATURES} are needed")
-    pair = PointPair.of(a, b)
-    forward, plausible = _directed(pair, m, sigma)
-    return _settle(pair, forward, plausible, sigma, limit2)
+    pairs = PointPairs.of(points_a, points_b)
+    return refine_epipoles(pairs, [start], sigma, limit=threshold_sigmas * sigma)[0]
 
 
-def turned(m: ArrayLike, turn_a: float = 0.0, turn_b: float = 0.0) -> Array:
-    """Return m (4,) after the views turned by ``turn_a``, ``turn_b`` (rad, counter-clockwise)."""
-    m = np.asarray(m, dtype=np.float64)
-    result = np.empty(4)
-    for k, turn in ((0, turn_a), (2, turn_b)):
-        c, s = np.cos(turn), np.sin(turn)
-        # A turn to the left moves every bearing to the right.
-        result[k], result[k + 1] = c * m[k] - s * m[k + 1], s * m[k] + c * m[k + 1]
-    return result
+def refine_epipoles(
+    pairs: PointPairs,
+    starts: Sequence[Vector],
+    sigma: float,
+    *,
+    limit: float,
+    present: Mask | None = None,
+) -> list[PlanarEpipoles]:
+    """Refine the planar epipoles of several pairs of views in one go.
+
+    Parameters
+    ----------
+    pairs : PointPairs
+    starts : m to start from, one a pair
+        Their senses are found anew.
+    sigma : float
+        Standard deviation of one coordinate.
+    limit : float
+        Features with larger residuals are outliers.
+    present : (P, N) array or None
+        Features that a pair has at all; None for all.
+    """
+    if pairs.features < MINIMUM_FEATURES:
+        return [_too_few(pairs.features) for _ in starts]
+    directed, plausible = _directed(pairs, starts, sigma, present)
+    descents = [_Epipoles(start, _STEPS) for start in directed]
+    linear, weights, inside = settle(
+        pairs.linearised, descents, sigma, limit=limit, usable=plausible
+    )
+    sizes = np.abs(linear.residual)
+    inliers = sizes < limit
+    if inside is not None:
+        inliers &= inside
+    vectors = [descent.ahead for descent in descents]
+    return _judged(pairs, vectors, linear, weights * inliers, (sizes, inliers), sigma)
 
 
-def _settle(
-    pair: PointPair, start: Array, plausible: Mask, sigma: float, limit2: float
-) -> PlanarEpipoles:
-    """Refine a start on the ``plausible`` features and judge the result."""
-    m = _descend(pair, start[None], plausible, sigma, limit2)
-    inliers = plausible & (pair.squared(m)[0] < limit2)
-    count = int(np.count_nonzero(inliers))
-    if count < MINIMUM_FEATURES:
-        found = f"{count} of {len(pair)} features fit one motion, {MINIMUM_FEATURES} are needed"
-        return _lost(len(pair), f"no agreement: {found}")
-    return _finish(pair.at(inliers), m[0], inliers, sigma)
+def turned(m: Vector, turn_a: float = 0.0, turn_b: float = 0.0) -> Vector:
+    """Return m after the views turned by ``turn_a``, ``turn_b`` (rad, counter-clockwise)."""
+    c, s, c_b, s_b = math.cos(turn_a), math.sin(turn_a), math.cos(turn_b), math.sin(turn_b)
+    # A turn to the left moves every bearing to the right.
+    return (
+        c * m[0] - s * m[1],
+        s * m[0] + c * m[1],
+        c_b * m[2] - s_b * m[3],
+        s_b * m[2] + c_b * m[3],
+    )
 
 
 def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
@@ -215,141 +229,167 @@ def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
     return np.stack([first, (first + step) % count, (first + other) % count], axis=-1)
 
 
-def _descend(
-    pair: PointPair, m: Array, usable: Mask, sigma: float, limit2: float, steps: int = _STEPS
-) -> Array:
-    """Return the m (H, 4) after soft-L1 Newton steps on the ``usable`` features.
+class _Epipoles(Descent[Vector]):
+    """Descent of one pair's m over the unit vectors."""
 
-    Where most features are off by more than ``sigma``, that is taken for the noise at first: a
-    limit of the true one would keep a poor start on the few features that agree with it.
+    def step(self, point: Vector, normal: Normal, damping: float) -> tuple[Vector, float]:
+        """Return m after a step, and −gᵀ δ (see the base)."""
+        (a, b, c), (_, d, e), (_, _, f), (u, v, w) = normal
+        # A direction without information is held by a part of the others'.
+        floor = 1e-9 * max(a + d + f, 1e-12)
+        grown = 1.0 + damping
+        a, d, f = a * grown + floor, d * grown + floor, f * grown + floor
+        # H = L D Lᵀ, positive definite for its damping.
+        l_21, l_31 = b / a, c / a
+        d_2 = d - l_21 * b
+        l_32 = (e - l_21 * c) / d_2
+        d_3 = f - l_31 * c - l_32 * l_32 * d_2
+        y = v - l_21 * u
+        r = -(w - l_31 * u - l_32 * y) / d_3
+        q = -y / d_2 - l_32 * r
+        p = -u / a - l_21 * q - l_31 * r
+        shorter = min(1.0, _LONGEST_STEP / max(math.sqrt(p * p + q * q + r * r), 1e-12))
+        axes = complement(point)
+        moved = [
+            m + shorter * (p * x + q * y + r * z) for m, x, y, z in zip(point, *axes, strict=True)
+        ]
+        length = math.sqrt(sum(m * m for m in moved))
+        return _vector(m / length for m in moved), -(p * u + q * v + r * w)
+
+
+def _directed(
+    pairs: PointPairs, starts: Sequence[Vector], sigma: float, present: Mask | None
+) -> tuple[list[Vector], Mask | None]:
+    """Return each m or −m, whichever puts the points in front of the views, and who agrees.
+
+    None stands for all. A feature agrees when its parallax is one that a point of the scene can
+    have. An outlier that happens to lie near its epipolar plane passes the residual test, and
+    with a short baseline its huge parallax would outweigh all others.
     """
-    low = int(_QUANTILE * len(pair))
-    for number in range(steps):
-        residual, jacobian = pair.residuals(m)
-        squared = residual * residual
-        usual2 = np.partition(squared, low, axis=-1)[:, low, None] / _NORMAL_QUANTILE
-        wider2 = np.maximum(1.0, usual2 / sigma**2 if number < _WIDE_STEPS else 1.0)
-        weights = _weights(residual / (sigma * np.sqrt(wider2)))
-        weights *= usable & (squared < limit2 * wider2)
-        gradient = jacobian @ (weights * residual)[..., None]
-        # The kernel's own curvature, w³, makes it a Newton step; far off that would overshoot.
-        least = np.where(wider2 > _FAR_OFF, 1.0, 0.5)
-        curvature = weights * np.maximum(weights * weights, least)
-        H = (curvature[:, None, :] * jacobian) @ np.swapaxes(jacobian, -1, -2)
-        # The length of m is free: a stiffness along m itself keeps H regular. The rest of the
-        # damping bounds the step along a direction without information.
-        size = np.maximum(H[:, _DIAGONAL, _DIAGONAL].sum(axis=-1), 1e-12)[:, None, None]
-        H += (m[:, :, None] * m[:, None, :] + _DAMPING) * size
-        step = np.linalg.solve(H, gradient)[..., 0]
-        length = np.sqrt(np.sum(step * step, axis=-1, keepdims=True))
-        m = m - step * np.minimum(1.0, 0.3 / np.maximum(length, 1e-12))
-        m = m / np.sqrt(np.sum(m * m, axis=-1, keepdims=True))
-        if length.max() < _STILL * sigma:
-            break
-    return m
-
-
-def _weights(scaled: Array) -> Array:
-    return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2))
-
-
-def _finish(pair: PointPair, m: Array, inliers: Mask, sigma: float) -> PlanarEpipoles:
-    residual, jacobian = pair.residuals(m)
-    # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
-    spread = max(1.0, 1.4826 * _median(np.abs(residual)) / sigma)
-    weights = _weights(residual / sigma)
-    covariance, reason = _covariance(pair, m, jacobian, weights, sigma * spread)
-    direction, bearing_b = _bearings(m)
-    health = Health.DEGENERATE if reason else Health.OK
-    phi = float(wrap_angle(bearing_b - direction))
-    return PlanarEpipoles(phi, direction, covariance, inliers, health, reason, m)
-
-
-def _bearings(m: Array) -> tuple[float, float]:
-    """Return the bearings of the baseline in views A and B (rad), up to a common half turn."""
-    return float(np.arctan2(m[1], m[0])), float(np.arctan2(m[3], m[2]))
-
-
-def _usual_parallax(pair: PointPair, m: Array) -> float:
-    return _median(np.abs(_parallax(pair, m)))
-
-
-def _parallax(pair: PointPair, m: Array) -> Array:
-    """Return the sines (N,) of the angles at the points, negative for those behind the views."""
-    return meeting(_in_baseline_axes(pair.a, m[0], m[1]), _in_baseline_axes(pair.b, m[2], m[3]))
-
-
-def _directed(pair: PointPair, m: Array, sigma: float) -> tuple[Array, Mask]:
-    """Return m or −m, whichever puts the points in front of the views, and who agrees.
-
-    A feature agrees when its parallax is one that a point of the scene can have. An outlier that
-    happens to lie near its epipolar plane passes the residual test, and with a short baseline
-    its huge parallax would outweigh all others.
-    """
-    parallax = _parallax(pair, m)
+    parallax = pairs.parallax(starts)
     # Far points vote with less weight, gross errors with no more than a good point.
-    sense = 1.0 if float(np.tanh(parallax / (3.0 * sigma)).sum()) >= 0.0 else -1.0
-    forward = parallax * sense
-    noise = 8.0 * sigma
-    usual = _median(np.abs(forward))
-    plausible = (forward > -noise) & (forward < max(_NEAREST * usual, noise))
-    return sense * m, np.asarray(plausible)
+    votes = np.tanh(parallax * (1.0 / (_FULL_VOTE_SIGMAS * sigma)))
+    if present is not None:
+        votes *= present
+    senses = [1.0 if vote >= 0.0 else -1.0 for vote in votes.sum(axis=1).tolist()]
+    (usual,) = medians(np.abs(parallax)[None], present)
+    noise = _BEHIND_SIGMAS * sigma
+    nearest = [max(_NEAREST * value, noise) for value in usual]
+    parallax *= np.array(senses)[:, None]
+    plausible = (parallax > -noise) & (parallax < np.array(nearest)[:, None])
+    if present is not None:
+        plausible &= present
+    directed = [_vector(s * e for e in m) for s, m in zip(senses, starts, strict=True)]
+    return directed, None if np.count_nonzero(plausible) == plausible.size else plausible
+
+
+def _judged(
+    pairs: PointPairs,
+    vectors: Sequence[Vector],
+    linear: LinearPoints,
+    weights: Array,
+    fitting: tuple[Array, Mask],
+    sigma: float,
+) -> list[PlanarEpipoles]:
+    """Return the epipoles at m, what they are known by and what is not determined.
+
+    With a short baseline, noise alone makes the rows of the constraint differ; its share is
+    taken out of the information, or an undetermined direction would look known. ``fitting`` has
+    the sizes of the residuals and the inliers.
+    """
+    sizes, inliers = fitting
+    loudness = pairs.trace() / linear.variance - 1.0
+    misfit, usual = medians(np.array([sizes, loudness]), _some(inliers))
+    # Residuals larger than promised widen the covariance; smaller ones do not narrow it. None
+    # exceed the limit but for the median of no inliers at all, which is infinite.
+    units = [max(sigma, 1.4826 * min(size, 1.0)) ** 2 for size in misfit]
+    unit = np.array(units)[:, None]
+    # Features close to both the baseline and the horizon have rows of nothing but noise.
+    weights = weights * (loudness < _MAX_NOISE * np.array(usual)[:, None])
+    J = linear.jacobian
+    values, turns = np.linalg.eigh((J * weights[:, None]) @ J.transpose(0, 2, 1))
+    axes = turns.transpose(0, 2, 1) @ linear.frames[:, 1:]
+    share, doubt = pairs.noise_sums(axes, weights / linear.variance)
+    clear = values - unit * share
+    determined = clear > (_SIGNIFICANCE * math.sqrt(2.0)) * unit * doubt
+    # Of an undetermined direction of the unit vector m nothing is known.
+    variances = np.where(determined, unit / np.maximum(clear, 1e-300), 1.0)
+    moved = [True] * len(vectors)
+    if not determined[:, 0].all():
+        (parallax,) = medians(np.abs(pairs.parallax(vectors))[None], _some(inliers))
+        moved = [p > _MOVED_SIGMAS * math.sqrt(u) for p, u in zip(parallax, units, strict=True)]
+    found = []
+    for k, m in enumerate(vectors):
+        count = int(np.count_nonzero(inliers[k]))
+        if count < MINIMUM_FEATURES:
+            found.append(_no_agreement(pairs.features, count))
+            continue
+        covariance, var_b = _covariance(m, axes[k].tolist(), variances[k].tolist())
+        reason = _problem(determined[k].tolist(), max(covariance[1][1], var_b), moved=moved[k])
+        direction, bearing_b = math.atan2(m[1], m[0]), math.atan2(m[3], m[2])
+        health = Health.DEGENERATE if reason else Health.OK
+        found.append(
+            PlanarEpipoles(
+                wrapped(bearing_b - direction),
+                direction,
+                np.array(covariance),
+                inliers[k],
+                health,
+                reason,
+                m,
+            )
+        )
+    return found
 
 
 def _covariance(
-    pair: PointPair, m: Array, jacobian: Array, weights: Array, sigma: float
-) -> tuple[Array, str]:
-    """Return the covariance (2, 2) of (phi, direction) and the name of the degeneracy, if any.
+    m: Vector, axes: list[list[float]], variances: list[float]
+) -> tuple[list[list[float]], float]:
+    """Return the covariance (2, 2) of (phi, direction) and the variance of the other bearing.
 
-    With a short baseline, noise alone makes the rows of the constraint differ; its share is
-    taken out of the information, or an undetermined direction would look known.
+    ``variances`` are those of m along three ``axes``.
     """
-    basis = _complement(m)
-    own = pair.noise(m[None])
-    # Features close to both the baseline and the horizon have rows of nothing but noise.
-    loudness = pair.noise(basis).sum(axis=0) / own[0]
-    weights = np.where(loudness < _MAX_NOISE * _median(loudness), weights, 0.0)
-    J = basis @ jacobian
-    values, vectors = np.linalg.eigh((weights * J) @ J.T)
-    axes = vectors.T @ basis
-    shares = sigma**2 * weights * pair.noise(axes) / own
-    clear = values - shares.sum(axis=1)
-    determined = clear > _SIGNIFICANCE * np.sqrt(2.0 * (shares**2).sum(axis=1))
-    # Of an undetermined direction of the unit vector m nothing is known.
-    variances = np.where(determined, sigma**2 / np.maximum(clear, 1e-300), 1.0)
-    cov_m = (axes.T * variances) @ axes
-    by_direction = np.array([-m[1], m[0], 0.0, 0.0]) / (m[0] ** 2 + m[1] ** 2)
-    by_bearing_b = np.array([0.0, 0.0, -m[3], m[2]]) / (m[2] ** 2 + m[3] ** 2)
-    G = np.stack([by_bearing_b - by_direction, by_direction])
-    covariance = G @ cov_m @ G.T
+    length_a, length_b = m[0] ** 2 + m[1] ** 2, m[2] ** 2 + m[3] ** 2
+    pp = pt = tt = bb = 0.0
+    for (p, q, r, s), variance in zip(axes, variances, strict=True):
+        by_direction = (m[0] * q - m[1] * p) / length_a
+        by_bearing_b = (m[2] * s - m[3] * r) / length_b
+        turn = by_bearing_b - by_direction
+        pp += variance * turn * turn
+        pt += variance * turn * by_direction
+        tt += variance * by_direction * by_direction
+        bb += variance * by_bearing_b * by_bearing_b
+    return [[pp, pt], [pt, tt]], bb
+
+
+def _problem(determined: list[bool], widest: float, *, moved: bool) -> str:
+    """Return the name of what is not determined, if anything; ``widest`` is a variance (rad²)."""
     if not determined[1]:
-        return covariance, "features clustered: they do not separate turning from moving"
-    if not determined[0] and _usual_parallax(pair, m) > _MOVED_SIGMAS * sigma:
-        return covariance, ONE_PLANE
-    if not determined[0] or max(covariance[1, 1], by_bearing_b @ cov_m @ by_bearing_b) > _MAX_SD**2:
-        return covariance, "short baseline: the direction of the epipoles is not determined"
-    return covariance, ""
+        return "features clustered: they do not separate turning from moving"
+    if not determined[0] and moved:
+        return ONE_PLANE
+    if not determined[0] or widest > _MAX_SD**2:
+        return SHORT_BASELINE
+    return ""
 
 
-def _complement(m: Array) -> Array:
-    """Return three orthonormal vectors (3, 4) orthogonal to the unit vector m (4,)."""
-    p, q, r, s = (float(value) for value in m)
-    return np.array([[-q, p, -s, r], [-r, s, p, -q], [-s, -r, q, p]])
+def _some(inside: Mask) -> Mask | None:
+    """Return ``inside``, or None where it is all."""
+    return None if np.count_nonzero(inside) == inside.size else inside
 
 
-def _in_baseline_axes(points: Array, c: float, s: float) -> Array:
-    """Return unit rays (3, N) of image points (N, 2): along, across and above the baseline."""
-    x, y = points.T
-    scale = 1.0 / np.sqrt(1.0 + x**2 + y**2)
-    length = max(float(np.hypot(c, s)), 1e-300)
-    c, s = c / length, s / length
-    return np.stack([scale * (c + s * x), scale * (c * x - s), scale * y])
+def _vector(elements: Iterable[float]) -> Vector:
+    p, q, r, s = elements
+    return float(p), float(q), float(r), float(s)
 
 
-def _median(values: Array) -> float:
-    """Return the (upper) median of values (N,): a sort less than NumPy's."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle])
+def _no_agreement(features: int, count: int) -> PlanarEpipoles:
+    found = f"{count} of {features} features fit one motion, {MINIMUM_FEATURES} are needed"
+    return _lost(features, f"no agreement: {found}")
+
+
+def _too_few(count: int) -> PlanarEpipoles:
+    return _lost(count, f"too few features: {count}, {MINIMUM_FEATURES} are needed")
 
 
 def _lost(count: int, reason: str) -> PlanarEpipoles:

@@ -1,0 +1,283 @@
+"""The planar epipolar residual of several pairs of views at once, and its robust minimum.
+
+With the components of the rays across and along the baseline, which lies at the bearing θ in
+view A and α = θ + φ in view B,
+
+    a⊥ = a_x cos θ − a_y sin θ,   a∥ = a_x sin θ + a_y cos θ,   b⊥ and b∥ likewise with α,
+
+the constraint aᵀ E b = 0 of `visctrl.geometry.planar` and its gradient by both rays are
+
+    e = b_z a⊥ − a_z b⊥,   g² = a_z² + b_z² + a⊥² + b⊥²,   r = e/g  (Sampson),
+
+    ∂e/∂(θ, α) = (−b_z a∥, a_z b∥),   ½ ∂g²/∂(θ, α) = −(a⊥ a∥, b⊥ b∥),
+    ∂r/∂(θ, α) = (∂e/∂(θ, α) − (r/g) ½ ∂g²/∂(θ, α)) / g.
+
+All pairs are evaluated together; see `visctrl.geometry.robust_fit`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robots.unicycle import wrapped
+from visctrl.geometry.robust_fit import Descent, Normal, medians, settle
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Why a motion is degenerate: the baseline does not stand out of the noise.
+IDENTICAL = "views identical: the direction of the baseline is not determined"
+#: A baseline shows when its information exceeds the noise's by this many standard deviations.
+_BASELINE_SIGNIFICANCE = 5.0
+#: Noise of the θ column (in σ²) up to which a feature always says something about the direction,
+#: and the multiple of the usual noise up to which it does where all have more.
+_MAX_NOISE, _USUAL_NOISE = 4.0, 10.0
+#: Standard deviations (rad) beyond which a motion counts as undetermined.
+_MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
+#: Variance of a direction of which nothing is known (uniform on the circle).
+_UNKNOWN_DIRECTION = math.pi**2 / 3.0
+#: Parallax (in σ) from which a feature has a full vote on the sense of the baseline.
+_FULL_VOTE_SIGMAS = 3.0
+#: Longest step (rad): a direction without information must not jump round the circle.
+_LONGEST_STEP = 0.5
+
+
+class Fit(NamedTuple):
+    """The least residuals of one pair of views.
+
+    phi, direction : φ and θ (rad); the baseline points to where most features are in front.
+    variance : of φ, of both together and of θ (rad²); infinite where nothing was measured.
+    inliers : (N,) features that agree.
+    reason : what is not determined, if anything.
+    """
+
+    phi: float
+    direction: float
+    variance: tuple[float, float, float]
+    inliers: Mask
+    reason: str
+
+
+class Linearised(NamedTuple):
+    """P pairs at one (θ, α) each.
+
+    parts : (P, 2, 2, N), a⊥ and a∥, b⊥ and b∥.
+    residual : (P, N), r in rad.
+    jacobian : (P, 2, N), ∂r/∂(θ, α).
+    gradient2 : (P, N), g².
+    """
+
+    parts: Array
+    residual: Array
+    jacobian: Array
+    gradient2: Array
+
+
+class RayPairs:
+    """Unit rays of N features in P pairs of views (A, B), component by component.
+
+    Parameters
+    ----------
+    a, b : (P, 3, N) arrays
+        Rays (right, forward, up); a leading axis may be missing where all pairs share the view.
+    """
+
+    def __init__(self, a: Array, b: Array) -> None:
+        shape = np.broadcast_shapes(a.shape, b.shape)
+        count, features = (1 if len(shape) == 2 else shape[0]), shape[-1]
+        self._level = np.empty((count, 2, 2, features))
+        self._level[:, 0], self._level[:, 1] = a[..., :2, :], b[..., :2, :]
+        self._lift = np.empty((count, 2, features))
+        self._lift[:, 0], self._lift[:, 1] = b[..., 2, :], a[..., 2, :]
+        self._heights = self._lift[:, 0] + self._lift[:, 1]
+        np.negative(self._lift[:, 1], out=self._lift[:, 1])
+        square = self._lift * self._lift
+        self._up2 = square[:, 0] + square[:, 1]
+
+    @property
+    def features(self) -> int:
+        """N."""
+        return int(self._up2.shape[1])
+
+    @classmethod
+    def of(cls, rays_a: ArrayLike, rays_b: ArrayLike) -> RayPairs:
+        """Return one pair of rays (N, 3)."""
+        a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
+        return cls(a.T, b.T)
+
+    def linearised(self, bearings: Sequence[tuple[float, float]]) -> Linearised:
+        """Return residuals and derivatives at each pair's (θ, α) in rad."""
+        turns = []
+        for theta, alpha in bearings:
+            s, c, s_b, c_b = math.sin(theta), math.cos(theta), math.sin(alpha), math.cos(alpha)
+            turns.append((((c, -s), (s, c)), ((c_b, -s_b), (s_b, c_b))))
+        parts = np.array(turns) @ self._level
+        products = np.empty((2, *parts.shape))
+        np.multiply(parts, self._lift[:, :, None], out=products[0])
+        np.multiply(parts, parts[:, :, :1], out=products[1])
+        error, gradient2 = products[:, :, 0, 0] + products[:, :, 1, 0]
+        gradient2 += self._up2
+        # Rays along the baseline and level with the camera have neither error nor gradient.
+        np.maximum(gradient2, 1e-18, out=gradient2)
+        scale = 1.0 / np.sqrt(gradient2)
+        residual = error * scale
+        pull = (residual * scale)[:, None]
+        jacobian = (pull * products[1, :, :, 1] - products[0, :, :, 1]) * scale[:, None]
+        return Linearised(parts, residual, jacobian, gradient2)
+
+    def noise(self, linear: Linearised) -> Array:
+        """Return the variance (P, N) in σ² of the θ column that pixel noise alone makes.
+
+        (a_z² + b_z² + a∥² + b∥²)/g² = (2 + a_z² + b_z²)/g² − 1, the rays being of unit length.
+        """
+        return np.asarray((self._up2 + 2.0) / linear.gradient2 - 1.0)
+
+    def votes(self, parts: Array, sigma: float, inside: Mask | None) -> list[float]:
+        """Return each pair's sum of votes on the sense of its baseline, by features ``inside``.
+
+        A feature votes with the sine of its parallax times the sum of both rays' sines from the
+        baseline, positive where they meet in front of the views; far points have less weight,
+        gross errors no more than a good point.
+        """
+        up = parts[:, 0, 1] * parts[:, 1, 0] - parts[:, 0, 0] * parts[:, 1, 1]
+        lifted = parts[:, :, 1] * self._lift
+        across = lifted[:, 0] + lifted[:, 1]
+        front = up * (parts[:, 0, 0] + parts[:, 1, 0]) + across * self._heights
+        front *= 1.0 / max(_FULL_VOTE_SIGMAS * sigma, 1e-12)
+        votes = np.tanh(front, out=front)
+        if inside is not None:
+            votes *= inside
+        found: list[float] = votes.sum(axis=1).tolist()
+        return found
+
+
+def fit(
+    pairs: RayPairs,
+    starts: Sequence[tuple[float, float]],
+    sigma: float,
+    *,
+    limit: float = math.inf,
+    present: Mask | None = None,
+    iterations: int = 15,
+) -> list[Fit]:
+    """Return the soft-L1 minimum of each pair's residuals near a start.
+
+    Parameters
+    ----------
+    pairs : RayPairs
+    starts : (φ, θ) in rad, one a pair
+        The sense of the direction is found anew.
+    sigma : float
+        Standard deviation of one ray's direction (rad).
+    limit : float
+        Features with larger residuals (rad) do not count, while most have smaller ones.
+    present : (P, N) array or None
+        Features that a pair has at all; None for all.
+    iterations : int
+        At most this many steps.
+    """
+    descents = [_Bearings((theta, theta + phi), iterations) for phi, theta in starts]
+    linear, weights, inside = settle(pairs.linearised, descents, sigma, limit=limit, usable=present)
+    return _judged(pairs, [descent.ahead for descent in descents], linear, weights, inside, sigma)
+
+
+class _Bearings(Descent[tuple[float, float]]):
+    """Descent of one pair's (θ, α)."""
+
+    def step(
+        self, point: tuple[float, float], normal: Normal, damping: float
+    ) -> tuple[tuple[float, float], float]:
+        """Return (θ, α) after a step, and −gᵀ δ (see the base)."""
+        (tt, ta), (_, aa), (by_theta, by_alpha) = normal
+        # φ moves α only and θ moves both: by them the Hessian is far from singular.
+        pt, g_p, g_t = ta + aa, by_alpha, by_theta + by_alpha
+        pp = aa * (1.0 + damping) + 1e-12
+        tt = (tt + 2.0 * ta + aa) * (1.0 + damping) + 1e-12
+        det = pp * tt - pt * pt
+        phi, theta = (pt * g_t - tt * g_p) / det, (pt * g_p - pp * g_t) / det
+        shorter = min(1.0, _LONGEST_STEP / max(abs(phi), abs(theta), 1e-12))
+        after = (point[0] + shorter * theta, point[1] + shorter * (theta + phi))
+        return after, -(phi * g_p + theta * g_t)
+
+
+def _judged(
+    pairs: RayPairs,
+    bearings: Sequence[tuple[float, float]],
+    linear: Linearised,
+    weights: Array,
+    inside: Mask | None,
+    sigma: float,
+) -> list[Fit]:
+    """Return the fits at (θ, α), what they are known by and what is not determined."""
+    noise = pairs.noise(linear)
+    sizes = np.abs(linear.residual)
+    misfit, usual = medians(np.array([sizes, noise]), inside)
+    # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
+    spread = [max(1.0, 1.4826 * size / sigma) for size in misfit]
+    loud = [max(_MAX_NOISE, _USUAL_NOISE * value) for value in usual]
+    limits = np.array([[3.0 * sigma * s for s in spread], loud])[:, :, None]
+    agree = sizes < limits[0]
+    if inside is not None:
+        agree &= inside
+    by_alpha = linear.jacobian[:, 1]
+    by_theta = linear.jacobian[:, 0] + by_alpha
+    # Sums over the features, weighted in three ways, of four products.
+    rows = np.empty((len(weights), 3, weights.shape[1]))
+    rows[:, 0] = weights
+    np.divide(weights, noise + 1.0, out=rows[:, 1])
+    np.multiply(weights, noise < limits[1], out=rows[:, 2])
+    products = np.empty((len(weights), 4, weights.shape[1]))
+    np.multiply(by_alpha, by_alpha, out=products[:, 0])
+    np.multiply(by_alpha, by_theta, out=products[:, 1])
+    np.multiply(by_theta, by_theta, out=products[:, 2])
+    products[:, 3] = noise
+    sums = (rows @ products.transpose(0, 2, 1)).tolist()
+    doubts = rows[:, :2] * noise[:, None]
+    doubts *= doubts
+    squares = doubts.sum(axis=2).tolist()
+    votes = pairs.votes(linear.parts, sigma, inside)
+    fits = []
+    for k, (theta, alpha) in enumerate(bearings):
+        variance, reason = _variance(sums[k], squares[k], (sigma * spread[k]) ** 2)
+        turned = theta if votes[k] >= 0.0 else theta + math.pi
+        fits.append(Fit(wrapped(alpha - theta), wrapped(turned), variance, agree[k], reason))
+    return fits
+
+
+def _variance(
+    sums: list[list[float]], squares: list[float], unit: float
+) -> tuple[tuple[float, float, float], str]:
+    """Return the variances of φ, of both and of θ, and the name of the degeneracy, if any.
+
+    With a short baseline the noise itself makes the θ column non-zero; its share is taken out
+    of the information, or the direction would look known when it is not. Rays along the
+    baseline and level with the camera have a column of mostly noise, for a perspective camera
+    that drives ahead nearly all of them: each counts in the test by how little of it is.
+
+    Parameters
+    ----------
+    sums : three rows, of all features, of all by how little noise they have, of the quiet ones
+        Weighted sums of (∂r/∂φ)², ∂r/∂φ ∂r/∂θ, (∂r/∂θ)² and the noise of ∂r/∂θ (σ²).
+    squares : sums of the squared weighted noise, for the first two rows.
+    unit : variance of one residual (rad²).
+    """
+    (pp, pt, tt, noise), (_, _, shown, shown_noise), (_, _, quiet, quiet_noise) = sums
+    if pp * _MAX_PHI_SD**2 < unit:
+        return (math.inf, 0.0, math.inf), "features clustered, or level with the camera"
+    doubt, doubt_shown = (math.sqrt(2.0 * square) for square in squares)
+    signal = shown / unit - shown_noise
+    alone = unit / pp
+    if signal < _BASELINE_SIGNIFICANCE * max(doubt_shown, 1e-12):
+        return (alone, 0.0, _UNKNOWN_DIRECTION), IDENTICAL
+    known = max(quiet / unit - quiet_noise, tt / unit - noise - 2.0 * doubt)
+    coupling = pt / pp
+    direction = 1.0 / max(known - coupling * pt / unit, 1e-12)
+    variance = (alone + coupling**2 * direction, -coupling * direction, direction)
+    if variance[0] > _MAX_PHI_SD**2 or direction > _MAX_DIRECTION_SD**2:
+        return variance, "features clustered: they do not separate turning from moving"
+    return variance, ""
