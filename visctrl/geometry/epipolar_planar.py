@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from robots.unicycle import wrapped
 from visctrl.geometry.epipolar_points import LinearPoints, PointPairs, Vector, complement
 from visctrl.geometry.planar import PlanarMotion
-from visctrl.geometry.robust_fit import Descent, Normal, medians, settle
+from visctrl.geometry.robust_fit import Delta, Descent, Normal, medians, settle
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -144,7 +144,7 @@ def ransac_planar_epipoles(
     limit = threshold_sigmas * sigma
     cost = np.minimum(pairs.squared(m), limit**2).sum(axis=-1)
     best = m[np.argpartition(cost, _FINALISTS)[:_FINALISTS]]
-    descents = [_Epipoles(_vector(start), _FINALIST_STEPS) for start in best]
+    descents = [_Epipoles(_vector(start), _FINALIST_STEPS, _LONGEST_STEP) for start in best]
     settle(pairs.linearised, descents, sigma, limit=limit)
     ends = [descent.ahead for descent in descents]
     cost = np.minimum(pairs.squared(np.array(ends)), limit**2).sum(axis=-1)
@@ -194,7 +194,7 @@ def refine_epipoles(
     if pairs.features < MINIMUM_FEATURES:
         return [_too_few(pairs.features) for _ in starts]
     directed, plausible = _directed(pairs, starts, sigma, present)
-    descents = [_Epipoles(start, _STEPS) for start in directed]
+    descents = [_Epipoles(start, _STEPS, _LONGEST_STEP) for start in directed]
     linear, weights, inside = settle(
         pairs.linearised, descents, sigma, limit=limit, usable=plausible
     )
@@ -232,8 +232,8 @@ def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
 class _Epipoles(Descent[Vector]):
     """Descent of one pair's m over the unit vectors."""
 
-    def step(self, point: Vector, normal: Normal, damping: float) -> tuple[Vector, float]:
-        """Return m after a step, and −gᵀ δ (see the base)."""
+    def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
+        """Return the step along the three vectors across m, and −gᵀ δ (see the base)."""
         (a, b, c), (_, d, e), (_, _, f), (u, v, w) = normal
         # A direction without information is held by a part of the others'.
         floor = 1e-9 * max(a + d + f, 1e-12)
@@ -248,13 +248,15 @@ class _Epipoles(Descent[Vector]):
         r = -(w - l_31 * u - l_32 * y) / d_3
         q = -y / d_2 - l_32 * r
         p = -u / a - l_21 * q - l_31 * r
-        shorter = min(1.0, _LONGEST_STEP / max(math.sqrt(p * p + q * q + r * r), 1e-12))
+        return (p, q, r), -(p * u + q * v + r * w)
+
+    def moved(self, point: Vector, delta: Delta, part: float) -> Vector:
+        """Return m after a part of a step."""
+        p, q, r = (part * change for change in delta)
         axes = complement(point)
-        moved = [
-            m + shorter * (p * x + q * y + r * z) for m, x, y, z in zip(point, *axes, strict=True)
-        ]
-        length = math.sqrt(sum(m * m for m in moved))
-        return _vector(m / length for m in moved), -(p * u + q * v + r * w)
+        after = [m + p * x + q * y + r * z for m, x, y, z in zip(point, *axes, strict=True)]
+        length = math.sqrt(sum(m * m for m in after))
+        return _vector(m / length for m in after)
 
 
 def _directed(

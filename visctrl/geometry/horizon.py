@@ -8,6 +8,7 @@ of them agree on is the right one.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 _ROWS = np.linspace(-1.0, 1.0, 11)
 _HALVINGS = 5
 _HYPOTHESES = 48
+#: A row that is off makes residuals of about this part of its distance: what is more is an outlier.
+_RESIDUAL = 0.1
 #: A residual counts at most this many standard deviations.
 _GATE_SIGMAS = 4.0
 
@@ -55,47 +58,56 @@ def find_horizon(
         Of the random samples.
     """
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
-    costs: dict[float, float] = {}
-    fits: dict[float, PlanarEpipoles] = {}
-
-    def evaluate(shift: float, near: PlanarEpipoles | None = None) -> None:
-        fits[shift] = _fit(a - [0.0, shift], b - [0.0, shift], sigma, seed, near)
-        costs[shift] = _cost(a - [0.0, shift], b - [0.0, shift], sigma, fits[shift])
-
-    for shift in (widest * _ROWS).tolist():
-        evaluate(shift)
+    rows = _Rows(a, b, seed)
     step = float(widest * (_ROWS[1] - _ROWS[0]))
+    candidates = sorted((widest * _ROWS).tolist(), key=abs)
+    best = rows.best(candidates, max(sigma, _RESIDUAL * step))
     for _ in range(_HALVINGS):
         step /= 2.0
-        best = min(costs, key=costs.__getitem__)
-        for shift in (best - step, best + step):
-            if abs(shift) <= widest:
-                evaluate(shift, fits[best])
-    best = min(costs, key=costs.__getitem__)
-    return Horizon(best, _deviation(costs, best, widest))
+        near = [shift for shift in (best - step, best, best + step) if abs(shift) <= widest]
+        # Rows differ by residuals of about their distance: what is more is an outlier.
+        best = rows.best(near, max(sigma, _RESIDUAL * step))
+    return Horizon(best, _deviation(rows, best, step, sigma, widest))
 
 
-def _deviation(costs: dict[float, float], best: float, widest: float) -> float:
+class _Rows:
+    """Motions and costs with the horizon in one row or another."""
+
+    def __init__(self, a: Array, b: Array, seed: int) -> None:
+        self._points = (a, b)
+        self._seed = seed
+        self._fits: dict[float, PlanarEpipoles] = {}
+
+    def best(self, shifts: list[float], sigma: float) -> float:
+        """Return the row that the features agree on most."""
+        return min(shifts, key=lambda shift: self.cost(shift, sigma))
+
+    def cost(self, shift: float, sigma: float) -> float:
+        """Return the sum of the squared residuals in ``sigma``, each no more than the gate."""
+        a, b = (points - [0.0, shift] for points in self._points)
+        fit = self._fit(a, b, shift, sigma)
+        if fit.health is Health.LOST:
+            return float(len(a) * _GATE_SIGMAS**2)
+        self._fits[shift] = fit
+        residual, _ = sampson_residuals(a, b, fit.vector)
+        return float(np.minimum((residual / sigma) ** 2, _GATE_SIGMAS**2).sum())
+
+    def _fit(self, a: Array, b: Array, shift: float, sigma: float) -> PlanarEpipoles:
+        """Return the motion over a row, near that over the nearest row before."""
+        if self._fits:
+            nearest = min(self._fits, key=lambda other: abs(other - shift))
+            fit = refine_planar_epipoles(a, b, self._fits[nearest].vector, sigma)
+            if fit.health is not Health.LOST:
+                return fit
+        return ransac_planar_epipoles(a, b, sigma, seed=self._seed, hypotheses=_HYPOTHESES)
+
+
+def _deviation(rows: _Rows, best: float, step: float, sigma: float, widest: float) -> float:
     """Return how far the row can move before the features object, each unit of cost a variance."""
-    object_at = [
-        abs(shift - best) / np.sqrt(cost - costs[best])
-        for shift, cost in costs.items()
-        if cost - costs[best] > 1.0
-    ]
-    return float(min(object_at, default=widest))
-
-
-def _fit(
-    a: Array, b: Array, sigma: float, seed: int, near: PlanarEpipoles | None
-) -> PlanarEpipoles:
-    if near is not None and near.health is not Health.LOST:
-        return refine_planar_epipoles(a, b, near.vector, sigma)
-    return ransac_planar_epipoles(a, b, sigma, seed=seed, hypotheses=_HYPOTHESES)
-
-
-def _cost(a: Array, b: Array, sigma: float, fit: PlanarEpipoles) -> float:
-    """Return the sum of the squared residuals in ``sigma``, each no more than the gate."""
-    if fit.health is Health.LOST:
-        return float(len(a) * _GATE_SIGMAS**2)
-    residual, _ = sampson_residuals(a, b, fit.vector)
-    return float(np.minimum((residual / sigma) ** 2, _GATE_SIGMAS**2).sum())
+    least, distance = rows.cost(best, sigma), step
+    while distance < widest:
+        more = max(rows.cost(best + side * distance, sigma) for side in (-1.0, 1.0)) - least
+        if more > 1.0:
+            return distance / math.sqrt(more)
+        distance *= 2.0
+    return widest

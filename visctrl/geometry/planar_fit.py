@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrapped
-from visctrl.geometry.robust_fit import Descent, Normal, medians, settle
+from visctrl.geometry.robust_fit import Delta, Descent, Normal, medians, settle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -181,7 +181,7 @@ def fit(
     iterations : int
         At most this many steps.
     """
-    descents = [_Bearings((theta, theta + phi), iterations) for phi, theta in starts]
+    descents = [_Bearings((theta, theta + phi), iterations, _LONGEST_STEP) for phi, theta in starts]
     linear, weights, inside = settle(pairs.linearised, descents, sigma, limit=limit, usable=present)
     return _judged(pairs, [descent.ahead for descent in descents], linear, weights, inside, sigma)
 
@@ -189,10 +189,8 @@ def fit(
 class _Bearings(Descent[tuple[float, float]]):
     """Descent of one pair's (θ, α)."""
 
-    def step(
-        self, point: tuple[float, float], normal: Normal, damping: float
-    ) -> tuple[tuple[float, float], float]:
-        """Return (θ, α) after a step, and −gᵀ δ (see the base)."""
+    def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
+        """Return the step of (φ, θ), and −gᵀ δ (see the base)."""
         (tt, ta), (_, aa), (by_theta, by_alpha) = normal
         # φ moves α only and θ moves both: by them the Hessian is far from singular.
         pt, g_p, g_t = ta + aa, by_alpha, by_theta + by_alpha
@@ -200,9 +198,12 @@ class _Bearings(Descent[tuple[float, float]]):
         tt = (tt + 2.0 * ta + aa) * (1.0 + damping) + 1e-12
         det = pp * tt - pt * pt
         phi, theta = (pt * g_t - tt * g_p) / det, (pt * g_p - pp * g_t) / det
-        shorter = min(1.0, _LONGEST_STEP / max(abs(phi), abs(theta), 1e-12))
-        after = (point[0] + shorter * theta, point[1] + shorter * (theta + phi))
-        return after, -(phi * g_p + theta * g_t)
+        return (phi, theta), -(phi * g_p + theta * g_t)
+
+    def moved(self, point: tuple[float, float], delta: Delta, part: float) -> tuple[float, float]:
+        """Return (θ, α) after a part of a step."""
+        phi, theta = delta
+        return point[0] + part * theta, point[1] + part * (theta + phi)
 
 
 def _judged(

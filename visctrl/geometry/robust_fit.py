@@ -10,6 +10,7 @@ equations is w = 1/√(1 + x²), its curvature w³. Beyond a limit the cost stay
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Normal = list[list[float]]
+Delta = tuple[float, ...]
 
 #: Scale of the soft-L1 kernel, k, in standard deviations of the residual.
 _KERNEL_SIGMAS = 1.5
@@ -28,11 +30,13 @@ _KERNEL_SIGMAS = 1.5
 _LAST_STEP = 0.1
 #: Least curvature of the kernel, relative to its weight, that a step counts on.
 _LEAST_CURVATURE = 0.5
-#: The limit is widened while fewer than this part of the features are within it, ...
-_MOST = 0.5
-#: ... in proportion to a low quantile of the residuals, few outliers reaching it; and that
-#: quantile for a unit normal.
+#: The noise is looked at while fewer than this part of the features are within the limit: by a low
+#: quantile of the residuals, few outliers reaching it, which is this for a unit normal.
+_MOST = 0.9
 _QUANTILE, _NORMAL_QUANTILE = 0.3, 0.385
+#: Variance, in that of the noise, from which residuals are those of a start that is far off; and
+#: how often that may be found: outliers in great number look like it for ever.
+_FAR_OFF, _FAR_POINTS = 4.0, 3
 
 
 class Linear(Protocol):
@@ -56,9 +60,16 @@ class Descent(ABC, Generic[PointT]):
 
     ahead : the point to evaluate next; once ``done``, the end.
     refused : whether the point that was evaluated last was worse than one before.
+
+    Parameters
+    ----------
+    start : where to begin.
+    iterations : at most so many steps.
+    longest : each parameter's longest step.
     """
 
-    def __init__(self, start: PointT, iterations: int) -> None:
+    def __init__(self, start: PointT, iterations: int, longest: float) -> None:
+        self._longest = longest
         self.ahead = start
         self.done = self.refused = False
         self._best = start
@@ -68,15 +79,18 @@ class Descent(ABC, Generic[PointT]):
         self._left = iterations
 
     @abstractmethod
-    def step(self, point: PointT, normal: Normal, damping: float) -> tuple[PointT, float]:
-        """Return the point after a step, and −gᵀ δ for its full length.
+    def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
+        """Return the step δ that normal equations ask for, and −gᵀ δ.
 
         Parameters
         ----------
-        point : where the step begins.
         normal : the k rows of the Hessian, and the gradient g.
         damping : what is added to the Hessian's diagonal, relative to it.
         """
+
+    @abstractmethod
+    def moved(self, point: PointT, delta: Delta, part: float) -> PointT:
+        """Return the point after a part of a step."""
 
     def take(self, cost: float, normal: Normal, sigma: float) -> None:
         """Take in the cost at the point ahead and its normal equations, and go on from the best."""
@@ -88,9 +102,14 @@ class Descent(ABC, Generic[PointT]):
         else:
             self._best, self._cost, self._normal = self.ahead, cost, normal
             self._damping *= 0.1
-        self.ahead, gain = self.step(self._best, self._normal, self._damping)
+        delta, gain = self.solve(self._normal, self._damping)
+        # Half of −gᵀ δ is what the step should gain. It cannot gain more than there is: where it
+        # seems to, the residuals are no noise, and the kernel's curvature is not that of the way.
+        there = 2.0 * (_KERNEL_SIGMAS * sigma) ** 2 * self._cost
+        part = min(1.0, self._longest / max(*map(abs, delta), 1e-12), there / max(gain, 1e-300))
+        self.ahead = self.moved(self._best, delta, part)
         self._left -= 1
-        # −gᵀ δ is δᵀ H δ: the step's length in variances of what it corrects.
+        # −gᵀ δ is δᵀ H δ, too: the step's length in variances of what it corrects.
         self.done = gain < (_LAST_STEP * sigma) ** 2 or self._left <= 0
 
 
@@ -124,13 +143,15 @@ def settle(
     sigma : float
         Standard deviation of a residual.
     limit : float
-        Residuals beyond it do not count; it is wider while most residuals are.
+        Residuals beyond it do not count; where most show more noise than ``sigma``, so much more.
     usable : (P, N) array or None
         Features that count at all; None for all.
     """
-    while True:
+    for number in itertools.count():
         linear = linearise([descent.ahead for descent in descents])
-        weights, inside, costs, normals = _normal_equations(linear, sigma, limit, usable)
+        weights, inside, costs, normals = _normal_equations(
+            linear, sigma, limit, usable, may_be_far=number < _FAR_POINTS
+        )
         if all(descent.done for descent in descents):
             break
         for descent, cost, normal in zip(descents, costs, normals, strict=True):
@@ -141,23 +162,34 @@ def settle(
 
 
 def _normal_equations(
-    linear: Linear, sigma: float, limit: float, usable: Mask | None
+    linear: Linear, sigma: float, limit: float, usable: Mask | None, *, may_be_far: bool
 ) -> tuple[Array, Mask | None, list[float], list[Normal]]:
     """Return weights (P, N), who counts, costs, and Hessians with the gradients below."""
     scaled = linear.residual * (1.0 / (_KERNEL_SIGMAS * sigma))
-    root = np.sqrt(scaled * scaled + 1.0)
-    weights = 1.0 / root
-    inside = usable
+    square, inside, units = scaled * scaled, usable, None
     if limit < math.inf:
-        root, inside = _limited(root, limit / (_KERNEL_SIGMAS * sigma), usable)
+        limit2 = (limit / (_KERNEL_SIGMAS * sigma)) ** 2
+        inside = _within(square, limit2, usable)
+        if may_be_far and inside is not None:
+            units = _units(square, inside, usable)
+            if units is not None:
+                square = square / units
+                inside = _within(square, limit2, usable)
+    root = np.sqrt(square + 1.0)
+    weights = 1.0 / root
     if inside is not None:
         weights *= inside
+        root = np.where(inside, root, 1.0 if limit == math.inf else math.sqrt(1.0 + limit2))
     if usable is not None:
         root = np.where(usable, root, 1.0)
     count = root.shape[1]
     costs = [cost - count for cost in root.sum(axis=1).tolist()]
     # The kernel's own curvature makes it a Newton step; far off that would overshoot.
-    least = np.array([[_LEAST_CURVATURE if cost < count else 1.0] for cost in costs])
+    least = np.full((len(costs), 1), _LEAST_CURVATURE)
+    if units is not None:
+        # The same residuals cost less by a smaller unit, so that a descent goes on.
+        costs = [cost * unit for cost, unit in zip(costs, units[:, 0].tolist(), strict=True)]
+        least = np.where(units > 1.0, 1.0, _LEAST_CURVATURE)
     curvature = weights * np.maximum(weights * weights, least)
     jacobian = linear.jacobian
     rows = np.empty((len(root), jacobian.shape[1] + 1, count))
@@ -166,31 +198,29 @@ def _normal_equations(
     return weights, inside, costs, (rows @ jacobian.transpose(0, 2, 1)).tolist()
 
 
-def _limited(root: Array, limit: float, usable: Mask | None) -> tuple[Array, Mask | None]:
-    """Return √(1 + x²) (P, N) no more than at a limit of x, and who is within it.
+def _within(square: Array, limit2: float, usable: Mask | None) -> Mask | None:
+    """Return which of x² (P, N) are under a limit, None for all."""
+    inside = square < limit2
+    if usable is not None:
+        inside &= usable
+    return None if np.count_nonzero(inside) == inside.size else inside
 
-    A start that is off by more than the limit would keep to the few features that agree with it:
-    there the limit grows with the residuals that are usual.
+
+def _units(square: Array, inside: Mask, usable: Mask | None) -> Array | None:
+    """Return the variance (P, 1) for which to take the noise, None for its own.
+
+    A start that is off by far more than the noise would keep to the few features that agree with
+    it: there the noise is taken for as large as the residuals x² (P, N) let it look.
     """
-    cap = math.sqrt(1.0 + limit * limit)
-    inside = root < cap
-    if usable is not None:
-        inside &= usable
-    within = np.count_nonzero(inside)
-    if within == inside.size:
-        return root, None
-    if within > (1.0 - (1.0 - _MOST) / len(root)) * inside.size:
-        return np.minimum(root, cap), inside
-    shown = root if usable is None else np.where(usable, root, math.inf)
-    counts = np.full(len(root), root.shape[1]) if usable is None else usable.sum(axis=1)
-    low = np.sort(shown, axis=1)[np.arange(len(root)), (_QUANTILE * counts).astype(np.intp)]
-    usual = np.sqrt(low * low - 1.0) * (_KERNEL_SIGMAS / _NORMAL_QUANTILE)
+    counts = np.full(len(square), square.shape[1]) if usable is None else usable.sum(axis=1)
     few = inside.sum(axis=1) < _MOST * counts
-    caps = np.sqrt(1.0 + (limit * np.where(few, np.maximum(usual, 1.0), 1.0)) ** 2)[:, None]
-    inside = root < caps
-    if usable is not None:
-        inside &= usable
-    return np.minimum(root, caps), inside
+    if not few.any():
+        return None
+    shown = square if usable is None else np.where(usable, square, math.inf)
+    low = np.sort(shown, axis=1)[np.arange(len(square)), (_QUANTILE * counts).astype(np.intp)]
+    units = low * (_KERNEL_SIGMAS / _NORMAL_QUANTILE) ** 2
+    far = few & (units > _FAR_OFF)
+    return np.where(far, units, 1.0)[:, None] if far.any() else None
 
 
 def medians(values: Array, inside: Mask | None) -> list[list[float]]:
