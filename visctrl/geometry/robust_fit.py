@@ -27,7 +27,7 @@ Delta = tuple[float, ...]
 #: Scale of the soft-L1 kernel, k, in standard deviations of the residual.
 _KERNEL_SIGMAS = 1.5
 #: A step shorter than this many standard deviations of what it corrects is the last one.
-_LAST_STEP = 0.1
+_LAST_STEP = 0.2
 #: Least curvature of the kernel, relative to its weight, that a step counts on.
 _LEAST_CURVATURE = 0.5
 #: The noise is looked at while fewer than this part of the features are within the limit: by a low
