@@ -12,11 +12,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.types import Velocity
 from robots.unicycle import arc, wrapped
 from visctrl.estimation.epipolar_position import Placed
 from visctrl.estimation.epipole_estimates import EpipolePair, Location
+
+Array = NDArray[np.float64]
 
 #: Floor of a line's standard deviation, in units of D: what the linearisation itself costs.
 _LINE_FLOOR = 2e-4
@@ -37,6 +40,48 @@ class _Line(NamedTuple):
     x: float
     y: float
     sd: float
+
+
+class _Covariance(NamedTuple):
+    """Covariance of (x, y, φ, w = 1/D), p standing for φ: a symmetric matrix in plain floats."""
+
+    xx: float = 0.0
+    xy: float = 0.0
+    xp: float = 0.0
+    xw: float = 0.0
+    yy: float = 0.0
+    yp: float = 0.0
+    yw: float = 0.0
+    pp: float = 0.0
+    pw: float = 0.0
+    ww: float = 0.0
+
+    def moved(self, by_phi: tuple[float, float], by_w: tuple[float, float]) -> _Covariance:
+        """Return it after (x, y) moved by a way with these derivatives: F P Fᵀ."""
+        (xx, xy, xp, xw, yy, yp, yw, pp, pw, ww), (a, b), (c, d) = self, by_phi, by_w
+        new_xp, new_xw = xp + a * pp + c * pw, xw + a * pw + c * ww
+        new_yp, new_yw = yp + b * pp + d * pw, yw + b * pw + d * ww
+        return _Covariance(
+            xx + a * (xp + new_xp) + c * (xw + new_xw),
+            xy + b * xp + d * xw + a * new_yp + c * new_yw,
+            new_xp,
+            new_xw,
+            yy + b * (yp + new_yp) + d * (yw + new_yw),
+            new_yp,
+            new_yw,
+            pp,
+            pw,
+            ww,
+        )
+
+    def widened(self, xx: float, xy: float, yy: float, pp: float) -> _Covariance:
+        """Return it with more noise of the position and of the heading."""
+        return self._replace(xx=self.xx + xx, xy=self.xy + xy, yy=self.yy + yy, pp=self.pp + pp)
+
+    def matrix(self) -> Array:
+        """Return it as a matrix (4, 4)."""
+        xx, xy, xp, xw, yy, yp, yw, pp, pw, ww = self
+        return np.array([[xx, xy, xp, xw], [xy, yy, yp, yw], [xp, yp, pp, pw], [xw, yw, pw, ww]])
 
 
 class LocationFilter:
@@ -73,9 +118,10 @@ class LocationFilter:
         self.psi1 = wrapped(phi1 - fixed.bearing_a)
         #: Pose of the reference view.
         self.reference = (math.sin(self.psi1), -math.cos(self.psi1), phi1)
-        self._x = [*self.reference, inverse_distance]
-        known = (1e-8, 1e-8, fixed.turn_sd**2 + 1e-8, inverse_distance_sd**2)
-        self._P = [[v if i == j else 0.0 for j in range(4)] for i, v in enumerate(known)]
+        self._x = (*self.reference, inverse_distance)
+        self._P = _Covariance(
+            xx=1e-8, yy=1e-8, pp=fixed.turn_sd**2 + 1e-8, ww=inverse_distance_sd**2
+        )
         self._lines: dict[str, _Line] = {}
         #: Names of the lines that the last update measured.
         self._fresh: list[str] = []
@@ -84,35 +130,23 @@ class LocationFilter:
     @property
     def pose(self) -> tuple[float, float, float]:
         """The present estimate of (x, y, φ)."""
-        return self._x[0], self._x[1], self._x[2]
+        return self._x[:3]
 
     def predict(self, sent: Velocity, dt: float) -> None:
         """Move the state along the exact arc of ``sent`` during ``dt`` seconds."""
         x, y, phi, w = self._x
         moved = arc(phi, sent.v, sent.omega, dt, self._offset)
-        self._x = [x + w * moved.dx, y + w * moved.dy, phi + moved.turn, w]
-        # The motion in units of D has the derivatives (−w dy, w dx) by φ and (dx, dy) by w.
-        a, b = -w * moved.dy, w * moved.dx
-        P = self._P
-        F_P = [
-            [p + a * q + moved.dx * r for p, q, r in zip(P[0], P[2], P[3], strict=True)],
-            [p + b * q + moved.dy * r for p, q, r in zip(P[1], P[2], P[3], strict=True)],
-            P[2],
-            P[3],
-        ]
-        P = [[p + a * r + moved.dx * s, q + b * r + moved.dy * s, r, s] for p, q, r, s in F_P]
+        self._x = (x + w * moved.dx, y + w * moved.dy, phi + moved.turn, w)
+        # The way in units of D has the derivatives (−w dy, w dx) by φ and (dx, dy) by w.
+        self._P = self._P.moved((-w * moved.dy, w * moved.dx), (moved.dx, moved.dy))
         way = (self._slip * w) ** 2 * (moved.dx**2 + moved.dy**2) + 1e-10
-        P[0][0] += way
-        P[1][1] += way
-        P[2][2] += (self._turn_slip * sent.omega * dt) ** 2 + self._turn_drift**2
+        turn = (self._turn_slip * sent.omega * dt) ** 2 + self._turn_drift**2
+        xx, xy, yy = way, 0.0, way
         for name in self._fresh:
             line = self._lines[name]
-            across_x, across_y = (_FORGETTING * line.sd * n for n in (line.x, line.y))
-            P[0][0] += across_x * across_x
-            P[0][1] += across_x * across_y
-            P[1][0] += across_x * across_y
-            P[1][1] += across_y * across_y
-        self._P = P
+            across_x, across_y = _FORGETTING * line.sd * line.x, _FORGETTING * line.sd * line.y
+            xx, xy, yy = xx + across_x**2, xy + across_x * across_y, yy + across_y**2
+        self._P = self._P.widened(xx, xy, yy, turn)
 
     def update(self, target: EpipolePair, reference: EpipolePair, sd_limit: float) -> None:
         """Take in the pairs (current, target) and (reference, current).
@@ -152,9 +186,7 @@ class LocationFilter:
         """The present estimate; its covariance includes what the fixed views' noise may cost."""
         x, y, phi, w = self._x
         xx, xy, yy = self._fixed_noise()
-        covariance = np.array(self._P)
-        covariance[:2, :2] += ((xx, xy), (xy, yy))
-        return Location(x, y, wrapped(phi), w, covariance)
+        return Location(x, y, wrapped(phi), w, self._P.widened(xx, xy, yy, 0.0).matrix())
 
     def _fixed_noise(self) -> tuple[float, float, float]:
         """Return the variance (of x, of both, of y) of the lines' meeting due to the fixed views.
@@ -192,11 +224,24 @@ class LocationFilter:
 
     def _correct(self, h: tuple[float, float, float], innovation: float, variance: float) -> None:
         """Correct by a measurement of h · (x, y, φ) that differs by the innovation."""
+        (x, y, phi, w), P = self._x, self._P
         a, b, c = h
-        PH = [a * row[0] + b * row[1] + c * row[2] for row in self._P]
-        scale = 1.0 / (a * PH[0] + b * PH[1] + c * PH[2] + variance)
-        self._x = [x + p * scale * innovation for x, p in zip(self._x, PH, strict=True)]
-        self._P = [
-            [p - scale * left * right for p, right in zip(row, PH, strict=True)]
-            for row, left in zip(self._P, PH, strict=True)
-        ]
+        # P h, and the variance of the innovation.
+        p_x, p_y = a * P.xx + b * P.xy + c * P.xp, a * P.xy + b * P.yy + c * P.yp
+        p_p, p_w = a * P.xp + b * P.yp + c * P.pp, a * P.xw + b * P.yw + c * P.pw
+        known = 1.0 / (a * p_x + b * p_y + c * p_p + variance)
+        gain = innovation * known
+        self._x = (x + p_x * gain, y + p_y * gain, phi + p_p * gain, w + p_w * gain)
+        k_x, k_y, k_p = p_x * known, p_y * known, p_p * known
+        self._P = _Covariance(
+            P.xx - k_x * p_x,
+            P.xy - k_x * p_y,
+            P.xp - k_x * p_p,
+            P.xw - k_x * p_w,
+            P.yy - k_y * p_y,
+            P.yp - k_y * p_p,
+            P.yw - k_y * p_w,
+            P.pp - k_p * p_p,
+            P.pw - k_p * p_w,
+            P.ww - p_w * known * p_w,
+        )

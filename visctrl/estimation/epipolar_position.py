@@ -7,7 +7,7 @@ fixed views give each one's distance, in units of their baseline, and the curren
 among them. At the target the distances do not matter, for the images coincide.
 
 With everything in the current view's axes, a ray (r, f, u), its level part l = √(r² + f²) and
-s, c = r/l, f/l, the tangents across the ray are t₁ = (c, −s, 0) and t₂ = (−s u, −c u, l). A
+s, c = r/l, f/l, the tangents across the ray are t₁ = (c, −s, 0) and t₂ = (s u, c u, −l). A
 feature at X and the view at p have the residuals, in rad,
 
     tᵢ · (X − p)/|X − p|,
@@ -58,18 +58,16 @@ class _Seen(NamedTuple):
     """Features as the current view sees them, in its own axes.
 
     level : (N,), l.
+    points : (3, N), X.
     tangents : (2, 2, N), the level parts of t₁ and t₂, as components.
-    points : (2, N), the level part of X.
-    beside : (2, N), tᵢ · X.
-    range2 : (N,), |X|².
+    lifted : (N,), the part of t₂ · X that is due to heights.
     spread : (2, N), |X|² + (ρ tᵢ · X)².
     """
 
     level: Array
-    tangents: Array
     points: Array
-    beside: Array
-    range2: Array
+    tangents: Array
+    lifted: Array
     spread: Array
 
 
@@ -173,18 +171,24 @@ class Structure:
         """Return the chosen features in the axes of the current view."""
         points, range2, doubt = self._chosen
         rays = current if self._which is None else current.take(self._which, axis=1)
-        level_points = np.array([[c, s], [-s, c]]) @ points[:2]
-        level = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)
-        (sine, cosine), up = rays[:2] / level, rays[2]
+        turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ points
+        level, up = np.maximum(np.hypot(rays[0], rays[1]), 1e-9), rays[2]
+        along = rays[:2] / level
         tangents = np.empty((2, 2, len(level)))
-        tangents[0, 0], tangents[0, 1] = cosine, -sine
-        np.multiply(sine, -up, out=tangents[1, 0])
-        np.multiply(cosine, -up, out=tangents[1, 1])
-        products = tangents * level_points
-        beside = products[:, 0] + products[:, 1]
-        beside[1] += level * points[2]
-        loose = beside * doubt
-        return _Seen(level, tangents, level_points, beside, range2, loose * loose + range2)
+        tangents[0, 0] = along[1]
+        np.negative(along[0], out=tangents[0, 1])
+        np.multiply(along, up, out=tangents[1])
+        lifted = level * turned[2]
+        loose = _across(tangents, turned[:2], lifted) * doubt
+        return _Seen(level, turned, tangents, lifted, loose * loose + range2)
+
+
+def _across(tangents: Array, way: Array, lifted: Array) -> Array:
+    """Return the products (2, N) of both tangents with level ways (2, N) and heights."""
+    products = tangents * way
+    across = products[:, 0] + products[:, 1]
+    across[1] -= lifted
+    return np.asarray(across)
 
 
 def _normal_equations(
@@ -195,14 +199,13 @@ def _normal_equations(
     They are in units of (σ κ)², which is returned as well: κ ≥ 1 is how much larger than promised
     the residuals are.
     """
-    place = np.array([right, forward])
-    distance2 = seen.range2 + (right * right + forward * forward) - 2.0 * (place @ seen.points)
-    distance2 = np.maximum(distance2, 1e-18)
+    way = seen.points - np.array([[right], [forward], [0.0]])
+    distance2 = np.einsum("in,in->n", way, way)
     scale = 1.0 / np.sqrt(seen.spread + distance2)
     rows = np.zeros((4, *scale.shape))
-    rows[0], rows[1] = seen.tangents[:, 0], seen.tangents[:, 1]
+    rows[:2] = seen.tangents.swapaxes(0, 1)
     np.multiply(seen.level, -np.sqrt(distance2), out=rows[2, 0])
-    np.subtract(seen.beside, rows[0] * right + rows[1] * forward, out=rows[3])
+    rows[3] = _across(seen.tangents, way[:2], seen.lifted)
     rows *= scale
     residual = rows[3]
     middle = residual.size // 2

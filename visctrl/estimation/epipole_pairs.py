@@ -20,7 +20,7 @@ _SEARCH_EVERY = 4
 
 
 class PairsFollower:
-    """Motions from fixed views to the current one: searched once, then followed while sound.
+    """Motions from fixed views to the current one: followed while sound, else searched.
 
     All pairs that are followed are refined in one go.
     """
@@ -31,9 +31,9 @@ class PairsFollower:
         self._last: dict[str, PlanarMotion] = {}
         self._calls: dict[str, int] = {}
 
-    def forget(self, name: str) -> None:
-        """Search the pair of a fixed view anew: another has taken its place."""
-        self._last.pop(name, None)
+    def begin(self, name: str, motion: PlanarMotion | None = None) -> None:
+        """Follow the pair of a fixed view from a motion; None where it is the current view."""
+        self._last[name] = motion or self._solver.unmoved()
 
     def update(self, sight: Sight, sigma: float, turn: float, seed: int) -> dict[str, PlanarMotion]:
         """Return the motion from each fixed view to the current one.
@@ -66,8 +66,8 @@ class PairsFollower:
     def _start(self, sight: Sight, index: int, turn: float, sigma: float) -> PlanarMotion | None:
         """Return what to follow a pair from; a motion that is not determined may mislead."""
         name = sight.names[index]
-        last = self._last.get(name)
-        if last is None or last.health is Health.LOST or last.reason == ONE_PLANE:
+        last = self._last[name]
+        if last.health is Health.LOST or last.reason == ONE_PLANE:
             return None
         if last.health is Health.OK or self._calls[name] % _SEARCH_EVERY != 0:
             return last

@@ -16,6 +16,7 @@ from visctrl.geometry.epipolar import Epipole
 from visctrl.geometry.epipolar_planar import (
     MINIMUM_FEATURES,
     ONE_PLANE,
+    SHORT_BASELINE,
     PlanarEpipoles,
     ransac_planar_epipoles,
     refine_epipoles,
@@ -26,6 +27,7 @@ from visctrl.geometry.epipolar_robust import robust_essential, robust_fundamenta
 from visctrl.geometry.horizon import find_horizon
 from visctrl.geometry.parallax import signed_parallax
 from visctrl.geometry.planar import (
+    IDENTICAL,
     PlanarMotion,
     ransac_planar_motion,
     refine_motions,
@@ -83,6 +85,9 @@ class PairSolver(Protocol):
             Standard deviation of one ray's direction (rad).
         """
 
+    def unmoved(self) -> PlanarMotion:
+        """Return the motion between two views from the same place."""
+
     def redirected(
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
     ) -> PlanarMotion:
@@ -112,6 +117,11 @@ class Calibrated:
         starts = [(motion.phi + turn, motion.direction) for motion in last]
         pairs, limit = RayPairs(*rays), _RAY_SIGMAS * sigma
         return refine_motions(pairs, starts, sigma, limit=limit, present=present)
+
+    def unmoved(self) -> PlanarMotion:
+        """Return no motion at all (see the protocol)."""
+        unknown, nobody = np.diag([0.0, np.inf]), np.zeros(0, dtype=np.bool_)
+        return PlanarMotion(0.0, 0.0, unknown, nobody, Health.DEGENERATE, IDENTICAL)
 
     def redirected(
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
@@ -160,6 +170,12 @@ class Uncalibrated:
         pairs = PointPairs(*(self._points(view) for view in rays))
         limit = _POINT_SIGMAS * sigma
         return list(refine_epipoles(pairs, starts, sigma, limit=limit, present=present))
+
+    def unmoved(self) -> PlanarMotion:
+        """Return no motion at all (see the protocol)."""
+        unknown, nobody = np.diag([0.0, np.inf]), np.zeros(0, dtype=np.bool_)
+        ahead = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+        return PlanarEpipoles(0.0, 0.0, unknown, nobody, Health.DEGENERATE, SHORT_BASELINE, ahead)
 
     def redirected(
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
@@ -224,6 +240,10 @@ class EightPoint:
                 a, b = a[present[index]], b[present[index]]
             found.append(self.search(a, b, sigma, hypotheses=256, seed=len(a)))
         return found
+
+    def unmoved(self) -> PlanarMotion:
+        """Return no motion at all; it is not followed."""
+        return Calibrated().unmoved()
 
     def redirected(
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float

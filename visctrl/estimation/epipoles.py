@@ -114,16 +114,16 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
             self._last = EpipoleEstimate(Health.LOST, views.reason)
             return self._last
         self._level(views)
-        sight, sigma = self._views.see(views), views.sigma
         seed = self.context.seed + self._ticks
-        motions = self._pairs.update(sight, sigma, sent.omega * dt, seed)
-        pairs = {name: EpipolePair.of(motion) for name, motion in motions.items()}
-        target = pairs[TARGET].swapped()
         fixed = self._between_fixed(views, seed)
         if not fixed.usable(self.options.sd_limit_rad):
             reason = f"start and target cannot be told apart: {_problem(fixed)}"
             self._last = EpipoleEstimate(Health.LOST, reason)
             return self._last
+        sight = self._views.see(views)
+        motions = self._pairs.update(sight, views.sigma, sent.omega * dt, seed)
+        pairs = {name: EpipolePair.of(motion) for name, motion in motions.items()}
+        target = pairs[TARGET].swapped()
         self._locate(views, sight, target, pairs[REFERENCE], fixed)
         self._last = EpipoleEstimate(
             target.health,
@@ -170,14 +170,16 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
 
         It is a constant of the run once it is known well enough; before, it is searched at times.
         """
-        found = self._fixed
-        if found is None or (
-            not found.usable(self.options.sd_limit_rad) and self._ticks % _SEARCH_EVERY == 0
-        ):
-            rays, hypotheses = (views.initial, views.target), self.options.hypotheses
-            found = EpipolePair.of(self._solver.search(*rays, views.sigma, hypotheses, seed))
-            self._fixed = found
-        return found
+        fixed, limit = self._fixed, self.options.sd_limit_rad
+        if fixed is not None and (fixed.usable(limit) or self._ticks % _SEARCH_EVERY != 0):
+            return fixed
+        rays, hypotheses = (views.target, views.initial), self.options.hypotheses
+        motion = self._solver.search(*rays, views.sigma, hypotheses, seed)
+        self._fixed = EpipolePair.of(motion).swapped()
+        # The robot still stands about where the initial view was taken.
+        self._pairs.begin(TARGET, motion)
+        self._pairs.begin(REFERENCE)
+        return self._fixed
 
     # --- location ---------------------------------------------------------------------------
 
@@ -222,7 +224,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         off, rho = math.atan2(at.x, -at.y), math.hypot(at.x, at.y)
         if limit < abs(off) < math.pi / 2.0 and rho > 0.0:
             self._views.store(REFERENCE, views)
-            self._pairs.forget(REFERENCE)
+            self._pairs.begin(REFERENCE)
             self._fixed = target
             sd = math.sqrt(float(at.covariance[3, 3]))
             self._filter = self._filter_from(target, at.inverse_distance / rho, sd / rho)
@@ -239,6 +241,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         due = self._within * self.context.period_s >= 1.0 if after is None else self._time >= after
         if due:
             self._views.store(ALIGNED, views)
+            self._pairs.begin(ALIGNED)
 
 
 def _problem(pair: EpipolePair) -> str:

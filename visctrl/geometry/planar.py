@@ -90,10 +90,8 @@ def sampson_residuals(
     The residual is the algebraic error over the norm of its gradient by both rays: to first
     order its standard deviation is that of one ray's direction.
     """
-    linear = RayPairs.of(rays_a, rays_b).linearised([(direction, direction + phi)])
-    by_theta, by_alpha = linear.jacobian[0]
-    # α = θ + φ, so φ moves α only and θ moves both.
-    return linear.residual[0], np.stack([by_alpha, by_theta + by_alpha], axis=-1)
+    linear = RayPairs.of(rays_a, rays_b).linearised([(phi, direction)])
+    return linear.residual[0], linear.jacobian[0].T
 
 
 def ransac_planar_motion(
@@ -183,12 +181,12 @@ def refine_motions(
     present: Mask | None = None,
     iterations: int = 15,
 ) -> list[PlanarMotion]:
-    """Refine the planar motions of several pairs of views in one go.
+    """Refine the planar motions of several pairs of views, or several of one, in one go.
 
     Parameters
     ----------
     pairs : RayPairs
-    starts : (phi, direction) in rad, one a pair
+    starts : (phi, direction) in rad, one a motion
     sigma, iterations
         As for `refine_planar_motion`.
     limit : float

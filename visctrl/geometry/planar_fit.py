@@ -10,7 +10,9 @@ the constraint aᵀ E b = 0 of `visctrl.geometry.planar` and its gradient by bot
     e = b_z a⊥ − a_z b⊥,   g² = a_z² + b_z² + a⊥² + b⊥²,   r = e/g  (Sampson),
 
     ∂e/∂(θ, α) = (−b_z a∥, a_z b∥),   ½ ∂g²/∂(θ, α) = −(a⊥ a∥, b⊥ b∥),
-    ∂r/∂(θ, α) = (∂e/∂(θ, α) − (r/g) ½ ∂g²/∂(θ, α)) / g.
+    ∂r/∂(θ, α) = (∂e/∂(θ, α) − (r/g) ½ ∂g²/∂(θ, α)) / g,
+
+where φ moves α only and θ moves both.
 
 All pairs are evaluated together; see `visctrl.geometry.robust_fit`.
 """
@@ -29,6 +31,8 @@ from visctrl.geometry.robust_fit import Delta, Descent, Normal, medians, settle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+#: (φ, θ) in rad.
+Motion = tuple[float, float]
 
 #: Why a motion is degenerate: the baseline does not stand out of the noise.
 IDENTICAL = "views identical: the direction of the baseline is not determined"
@@ -64,11 +68,11 @@ class Fit(NamedTuple):
 
 
 class Linearised(NamedTuple):
-    """P pairs at one (θ, α) each.
+    """P pairs at one (φ, θ) each.
 
     parts : (P, 2, 2, N), a⊥ and a∥, b⊥ and b∥.
     residual : (P, N), r in rad.
-    jacobian : (P, 2, N), ∂r/∂(θ, α).
+    jacobian : (P, 2, N), ∂r/∂(φ, θ).
     gradient2 : (P, N), g².
     """
 
@@ -80,6 +84,8 @@ class Linearised(NamedTuple):
 
 class RayPairs:
     """Unit rays of N features in P pairs of views (A, B), component by component.
+
+    A single pair serves for several motions of it, too, where P motions are asked for.
 
     Parameters
     ----------
@@ -110,11 +116,12 @@ class RayPairs:
         a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
         return cls(a.T, b.T)
 
-    def linearised(self, bearings: Sequence[tuple[float, float]]) -> Linearised:
-        """Return residuals and derivatives at each pair's (θ, α) in rad."""
+    def linearised(self, motions: Sequence[Motion]) -> Linearised:
+        """Return residuals and derivatives at each pair's (φ, θ) in rad."""
         turns = []
-        for theta, alpha in bearings:
-            s, c, s_b, c_b = math.sin(theta), math.cos(theta), math.sin(alpha), math.cos(alpha)
+        for phi, theta in motions:
+            s, c, alpha = math.sin(theta), math.cos(theta), theta + phi
+            s_b, c_b = math.sin(alpha), math.cos(alpha)
             turns.append((((c, -s), (s, c)), ((c_b, -s_b), (s_b, c_b))))
         parts = np.array(turns) @ self._level
         products = np.empty((2, *parts.shape))
@@ -127,15 +134,18 @@ class RayPairs:
         scale = 1.0 / np.sqrt(gradient2)
         residual = error * scale
         pull = (residual * scale)[:, None]
-        jacobian = (pull * products[1, :, :, 1] - products[0, :, :, 1]) * scale[:, None]
+        by_theta, by_alpha = (pull * products[1, :, :, 1] - products[0, :, :, 1]).swapaxes(0, 1)
+        jacobian = np.empty((len(parts), 2, self.features))
+        np.multiply(by_alpha, scale, out=jacobian[:, 0])
+        np.multiply(by_theta + by_alpha, scale, out=jacobian[:, 1])
         return Linearised(parts, residual, jacobian, gradient2)
 
-    def noise(self, linear: Linearised) -> Array:
-        """Return the variance (P, N) in σ² of the θ column that pixel noise alone makes.
+    def loudness(self, linear: Linearised) -> Array:
+        """Return 1 plus the variance (P, N) in σ² of ∂r/∂θ that pixel noise alone makes.
 
-        (a_z² + b_z² + a∥² + b∥²)/g² = (2 + a_z² + b_z²)/g² − 1, the rays being of unit length.
+        That is (a_z² + b_z² + a∥² + b∥²)/g², and the rays are of unit length.
         """
-        return np.asarray((self._up2 + 2.0) / linear.gradient2 - 1.0)
+        return np.asarray((self._up2 + 2.0) / linear.gradient2)
 
     def votes(self, parts: Array, sigma: float, inside: Mask | None) -> list[float]:
         """Return each pair's sum of votes on the sense of its baseline, by features ``inside``.
@@ -158,7 +168,7 @@ class RayPairs:
 
 def fit(
     pairs: RayPairs,
-    starts: Sequence[tuple[float, float]],
+    starts: Sequence[Motion],
     sigma: float,
     *,
     limit: float = math.inf,
@@ -181,77 +191,68 @@ def fit(
     iterations : int
         At most this many steps.
     """
-    descents = [_Bearings((theta, theta + phi), iterations, _LONGEST_STEP) for phi, theta in starts]
+    descents = [_Motion(start, iterations, _LONGEST_STEP) for start in starts]
     linear, weights, inside = settle(pairs.linearised, descents, sigma, limit=limit, usable=present)
     return _judged(pairs, [descent.ahead for descent in descents], linear, weights, inside, sigma)
 
 
-class _Bearings(Descent[tuple[float, float]]):
-    """Descent of one pair's (θ, α)."""
+class _Motion(Descent[Motion]):
+    """Descent of one pair's (φ, θ)."""
 
     def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
         """Return the step of (φ, θ), and −gᵀ δ (see the base)."""
-        (tt, ta), (_, aa), (by_theta, by_alpha) = normal
-        # φ moves α only and θ moves both: by them the Hessian is far from singular.
-        pt, g_p, g_t = ta + aa, by_alpha, by_theta + by_alpha
-        pp = aa * (1.0 + damping) + 1e-12
-        tt = (tt + 2.0 * ta + aa) * (1.0 + damping) + 1e-12
+        (pp, pt), (_, tt), (g_p, g_t) = normal
+        pp, tt = pp * (1.0 + damping) + 1e-12, tt * (1.0 + damping) + 1e-12
         det = pp * tt - pt * pt
         phi, theta = (pt * g_t - tt * g_p) / det, (pt * g_p - pp * g_t) / det
         return (phi, theta), -(phi * g_p + theta * g_t)
 
-    def moved(self, point: tuple[float, float], delta: Delta, part: float) -> tuple[float, float]:
-        """Return (θ, α) after a part of a step."""
-        phi, theta = delta
-        return point[0] + part * theta, point[1] + part * (theta + phi)
+    def moved(self, point: Motion, delta: Delta, part: float) -> Motion:
+        """Return (φ, θ) after a part of a step."""
+        return point[0] + part * delta[0], point[1] + part * delta[1]
 
 
 def _judged(
     pairs: RayPairs,
-    bearings: Sequence[tuple[float, float]],
+    motions: Sequence[Motion],
     linear: Linearised,
     weights: Array,
     inside: Mask | None,
     sigma: float,
 ) -> list[Fit]:
-    """Return the fits at (θ, α), what they are known by and what is not determined."""
-    noise = pairs.noise(linear)
-    sizes = np.abs(linear.residual)
-    misfit, usual = medians(np.array([sizes, noise]), inside)
+    """Return the fits at (φ, θ), what they are known by and what is not determined."""
+    jacobian = linear.jacobian
+    shown = np.array([np.abs(linear.residual), pairs.loudness(linear)])
+    misfit, usual = medians(shown, inside)
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
-    spread = [max(1.0, 1.4826 * size / sigma) for size in misfit]
-    loud = [max(_MAX_NOISE, _USUAL_NOISE * value) for value in usual]
-    limits = np.array([[3.0 * sigma * s for s in spread], loud])[:, :, None]
-    agree = sizes < limits[0]
+    units = [max(sigma, 1.4826 * size) for size in misfit]
+    loud = [1.0 + max(_MAX_NOISE, _USUAL_NOISE * (value - 1.0)) for value in usual]
+    agree, quiet = shown < np.array([[3.0 * unit for unit in units], loud])[:, :, None]
     if inside is not None:
         agree &= inside
-    by_alpha = linear.jacobian[:, 1]
-    by_theta = linear.jacobian[:, 0] + by_alpha
     # Sums over the features, weighted in three ways, of four products.
     rows = np.empty((len(weights), 3, weights.shape[1]))
     rows[:, 0] = weights
-    np.divide(weights, noise + 1.0, out=rows[:, 1])
-    np.multiply(weights, noise < limits[1], out=rows[:, 2])
+    np.divide(weights, shown[1], out=rows[:, 1])
+    np.multiply(weights, quiet, out=rows[:, 2])
     products = np.empty((len(weights), 4, weights.shape[1]))
-    np.multiply(by_alpha, by_alpha, out=products[:, 0])
-    np.multiply(by_alpha, by_theta, out=products[:, 1])
-    np.multiply(by_theta, by_theta, out=products[:, 2])
-    products[:, 3] = noise
+    np.multiply(jacobian, jacobian[:, :1], out=products[:, :2])
+    np.multiply(jacobian[:, 1], jacobian[:, 1], out=products[:, 2])
+    np.subtract(shown[1], 1.0, out=products[:, 3])
     sums = (rows @ products.transpose(0, 2, 1)).tolist()
-    doubts = rows[:, :2] * noise[:, None]
-    doubts *= doubts
-    squares = doubts.sum(axis=2).tolist()
+    noise = rows[:, :2] * products[:, 3:]
+    squares = (noise @ noise.transpose(0, 2, 1)).tolist()
     votes = pairs.votes(linear.parts, sigma, inside)
     fits = []
-    for k, (theta, alpha) in enumerate(bearings):
-        variance, reason = _variance(sums[k], squares[k], (sigma * spread[k]) ** 2)
-        turned = theta if votes[k] >= 0.0 else theta + math.pi
-        fits.append(Fit(wrapped(alpha - theta), wrapped(turned), variance, agree[k], reason))
+    for k, (phi, theta) in enumerate(motions):
+        variance, reason = _variance(sums[k], squares[k], units[k] ** 2)
+        direction = theta if votes[k] >= 0.0 else theta + math.pi
+        fits.append(Fit(wrapped(phi), wrapped(direction), variance, agree[k], reason))
     return fits
 
 
 def _variance(
-    sums: list[list[float]], squares: list[float], unit: float
+    sums: list[list[float]], squares: list[list[float]], unit: float
 ) -> tuple[tuple[float, float, float], str]:
     """Return the variances of φ, of both and of θ, and the name of the degeneracy, if any.
 
@@ -264,13 +265,13 @@ def _variance(
     ----------
     sums : three rows, of all features, of all by how little noise they have, of the quiet ones
         Weighted sums of (∂r/∂φ)², ∂r/∂φ ∂r/∂θ, (∂r/∂θ)² and the noise of ∂r/∂θ (σ²).
-    squares : sums of the squared weighted noise, for the first two rows.
+    squares : sums of the products of the weighted noise, of the first two rows.
     unit : variance of one residual (rad²).
     """
     (pp, pt, tt, noise), (_, _, shown, shown_noise), (_, _, quiet, quiet_noise) = sums
     if pp * _MAX_PHI_SD**2 < unit:
         return (math.inf, 0.0, math.inf), "features clustered, or level with the camera"
-    doubt, doubt_shown = (math.sqrt(2.0 * square) for square in squares)
+    doubt, doubt_shown = math.sqrt(2.0 * squares[0][0]), math.sqrt(2.0 * squares[1][1])
     signal = shown / unit - shown_noise
     alone = unit / pp
     if signal < _BASELINE_SIGNIFICANCE * max(doubt_shown, 1e-12):

@@ -27,7 +27,7 @@ Delta = tuple[float, ...]
 #: Scale of the soft-L1 kernel, k, in standard deviations of the residual.
 _KERNEL_SIGMAS = 1.5
 #: A step shorter than this many standard deviations of what it corrects is the last one.
-_LAST_STEP = 0.2
+_LAST_STEP = 0.15
 #: Least curvature of the kernel, relative to its weight, that a step counts on.
 _LEAST_CURVATURE = 0.5
 #: The noise is looked at while fewer than this part of the features are within the limit: by a low
@@ -185,7 +185,7 @@ def _normal_equations(
     count = root.shape[1]
     costs = [cost - count for cost in root.sum(axis=1).tolist()]
     # The kernel's own curvature makes it a Newton step; far off that would overshoot.
-    least = np.full((len(costs), 1), _LEAST_CURVATURE)
+    least: float | Array = _LEAST_CURVATURE
     if units is not None:
         # The same residuals cost less by a smaller unit, so that a descent goes on.
         costs = [cost * unit for cost, unit in zip(costs, units[:, 0].tolist(), strict=True)]
