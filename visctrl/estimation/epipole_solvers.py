@@ -115,7 +115,8 @@ class Calibrated:
     ) -> list[PlanarMotion]:
         """Return the motions near the last ones (see the protocol)."""
         starts = [(motion.phi + turn, motion.direction) for motion in last]
-        pairs, limit = RayPairs(*rays), _RAY_SIGMAS * sigma
+        fixed, current = rays
+        pairs, limit = RayPairs(list(fixed), [current] * len(fixed)), _RAY_SIGMAS * sigma
         return refine_motions(pairs, starts, sigma, limit=limit, present=present)
 
     def unmoved(self) -> PlanarMotion:
@@ -167,7 +168,8 @@ class Uncalibrated:
     ) -> list[PlanarMotion]:
         """Return the motions near the last ones (see the protocol)."""
         starts = [turned(_epipoles(motion).vector, 0.0, turn) for motion in last]
-        pairs = PointPairs(*(self._points(view) for view in rays))
+        fixed, current = (self._points(view) for view in rays)
+        pairs = PointPairs(list(fixed), [current] * len(fixed))
         limit = _POINT_SIGMAS * sigma
         return list(refine_epipoles(pairs, starts, sigma, limit=limit, present=present))
 
@@ -181,7 +183,7 @@ class Uncalibrated:
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
     ) -> PlanarMotion:
         """Return ``last`` in the best direction (see the protocol)."""
-        pairs = PointPairs(self._points(a.T), self._points(b.T))
+        pairs = PointPairs([self._points(a.T)], [self._points(b.T)])
         before, now = _bearing_vectors(last.phi), _bearing_vectors(last.phi + turn)
         best = before[_least(pairs.squared(now), sigma)].tolist()
         return replace(_epipoles(last), vector=tuple(best))

@@ -22,9 +22,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrapped
-from visctrl.geometry.epipolar_points import LinearPoints, PointPairs, Vector, complement
+from visctrl.geometry.epipolar_points import (
+    LinearPoints,
+    NoiseSums,
+    PointPairs,
+    Vector,
+    complement,
+)
 from visctrl.geometry.planar import PlanarMotion
-from visctrl.geometry.robust_fit import Delta, Descent, Normal, medians, settle
+from visctrl.geometry.robust_fit import (
+    Delta,
+    Descent,
+    Normal,
+    Settled,
+    medians,
+    products,
+    settle,
+    some,
+)
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
@@ -110,7 +125,7 @@ def sampson_residuals(
     length = float(np.linalg.norm(vector))
     linear = PointPairs.of(points_a, points_b).linearised([_vector(vector / length)])
     # The residual is the same for any length of m: nothing changes along m itself.
-    return linear.residual[0], linear.frames[0, 1:].T @ linear.jacobian[0] / length
+    return linear.residual, np.array(linear.axes[0]).T @ linear.jacobian / length
 
 
 def ransac_planar_epipoles(
@@ -140,12 +155,13 @@ def ransac_planar_epipoles(
     pairs = PointPairs.of(points_a, points_b)
     if pairs.features < MINIMUM_FEATURES:
         return _too_few(pairs.features)
-    m = null_vectors(pairs.rows[0].T[_samples(pairs.features, hypotheses, seed)])
+    m = null_vectors(pairs.rows.T[_samples(pairs.features, hypotheses, seed)])
     limit = threshold_sigmas * sigma
     cost = np.minimum(pairs.squared(m), limit**2).sum(axis=-1)
     best = m[np.argpartition(cost, _FINALISTS)[:_FINALISTS]]
     descents = [_Epipoles(_vector(start), _FINALIST_STEPS, _LONGEST_STEP) for start in best]
-    settle(pairs.linearised, descents, sigma, limit=limit)
+    several = PointPairs.of(points_a, points_b, len(descents))
+    settle(several.linearised, descents, sigma, limit=limit)
     ends = [descent.ahead for descent in descents]
     cost = np.minimum(pairs.squared(np.array(ends)), limit**2).sum(axis=-1)
     return refine_epipoles(pairs, [ends[int(np.argmin(cost))]], sigma, limit=limit)[0]
@@ -193,17 +209,11 @@ def refine_epipoles(
     """
     if pairs.features < MINIMUM_FEATURES:
         return [_too_few(pairs.features) for _ in starts]
-    directed, plausible = _directed(pairs, starts, sigma, present)
+    usable = None if present is None else present.ravel()
+    directed, plausible = _directed(pairs, starts, sigma, usable)
     descents = [_Epipoles(start, _STEPS, _LONGEST_STEP) for start in directed]
-    linear, weights, inside = settle(
-        pairs.linearised, descents, sigma, limit=limit, usable=plausible
-    )
-    sizes = np.abs(linear.residual)
-    inliers = sizes < limit
-    if inside is not None:
-        inliers &= inside
-    vectors = [descent.ahead for descent in descents]
-    return _judged(pairs, vectors, linear, weights * inliers, (sizes, inliers), sigma)
+    settled = settle(pairs.linearised, descents, sigma, limit=limit, usable=plausible)
+    return _judged(pairs, [descent.ahead for descent in descents], settled, limit, sigma)
 
 
 def turned(m: Vector, turn_a: float = 0.0, turn_b: float = 0.0) -> Vector:
@@ -260,7 +270,7 @@ class _Epipoles(Descent[Vector]):
 
 
 def _directed(
-    pairs: PointPairs, starts: Sequence[Vector], sigma: float, present: Mask | None
+    pairs: PointPairs, starts: Sequence[Vector], sigma: float, usable: Mask | None
 ) -> tuple[list[Vector], Mask | None]:
     """Return each m or −m, whichever puts the points in front of the views, and who agrees.
 
@@ -271,81 +281,105 @@ def _directed(
     parallax = pairs.parallax(starts)
     # Far points vote with less weight, gross errors with no more than a good point.
     votes = np.tanh(parallax * (1.0 / (_FULL_VOTE_SIGMAS * sigma)))
-    if present is not None:
-        votes *= present
-    senses = [1.0 if vote >= 0.0 else -1.0 for vote in votes.sum(axis=1).tolist()]
-    (usual,) = medians(np.abs(parallax)[None], present)
+    if usable is not None:
+        votes *= usable
+    sums = votes.reshape(len(starts), -1).sum(axis=1).tolist()
+    senses = [1.0 if vote >= 0.0 else -1.0 for vote in sums]
+    (usual,) = medians(np.abs(parallax)[None], len(starts), usable)
     noise = _BEHIND_SIGMAS * sigma
     nearest = [max(_NEAREST * value, noise) for value in usual]
-    parallax *= np.array(senses)[:, None]
-    plausible = (parallax > -noise) & (parallax < np.array(nearest)[:, None])
-    if present is not None:
-        plausible &= present
+    sense, limit = np.repeat(np.array([senses, nearest]), pairs.features, axis=1)
+    parallax *= sense
+    plausible = (parallax > -noise) & (parallax < limit)
+    if usable is not None:
+        plausible &= usable
     directed = [_vector(s * e for e in m) for s, m in zip(senses, starts, strict=True)]
-    return directed, None if np.count_nonzero(plausible) == plausible.size else plausible
+    return directed, some(plausible)
 
 
 def _judged(
     pairs: PointPairs,
     vectors: Sequence[Vector],
-    linear: LinearPoints,
-    weights: Array,
-    fitting: tuple[Array, Mask],
+    settled: Settled[LinearPoints],
+    limit: float,
     sigma: float,
 ) -> list[PlanarEpipoles]:
-    """Return the epipoles at m, what they are known by and what is not determined.
-
-    With a short baseline, noise alone makes the rows of the constraint differ; its share is
-    taken out of the information, or an undetermined direction would look known. ``fitting`` has
-    the sizes of the residuals and the inliers.
-    """
-    sizes, inliers = fitting
-    loudness = pairs.trace() / linear.variance - 1.0
-    misfit, usual = medians(np.array([sizes, loudness]), _some(inliers))
+    """Return the epipoles at m, what they are known by and what is not determined."""
+    (linear, weights, inside), problems = settled, len(vectors)
+    shown = np.array([np.abs(linear.residual), pairs.traces() / linear.variance - 1.0])
+    inliers = shown[0] < limit
+    if inside is not None:
+        inliers &= inside
+    misfit, usual = medians(shown, problems, some(inliers))
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it. None
     # exceed the limit but for the median of no inliers at all, which is infinite.
     units = [max(sigma, 1.4826 * min(size, 1.0)) ** 2 for size in misfit]
-    unit = np.array(units)[:, None]
     # Features close to both the baseline and the horizon have rows of nothing but noise.
-    weights = weights * (loudness < _MAX_NOISE * np.array(usual)[:, None])
-    J = linear.jacobian
-    values, turns = np.linalg.eigh((J * weights[:, None]) @ J.transpose(0, 2, 1))
-    axes = turns.transpose(0, 2, 1) @ linear.frames[:, 1:]
-    share, doubt = pairs.noise_sums(axes, weights / linear.variance)
-    clear = values - unit * share
-    determined = clear > (_SIGNIFICANCE * math.sqrt(2.0)) * unit * doubt
-    # Of an undetermined direction of the unit vector m nothing is known.
-    variances = np.where(determined, unit / np.maximum(clear, 1e-300), 1.0)
-    moved = [True] * len(vectors)
-    if not determined[:, 0].all():
-        (parallax,) = medians(np.abs(pairs.parallax(vectors))[None], _some(inliers))
+    loud = np.repeat(np.array([_MAX_NOISE * value for value in usual]), pairs.features)
+    weights = weights * (inliers & (shown[1] < loud))
+    information = products(linear.jacobian * weights, linear.jacobian, problems)
+    values, turns = np.linalg.eigh(np.array(information))
+    axes = (turns.swapaxes(1, 2) @ np.array(linear.axes)).tolist()
+    noise = pairs.noise_sums(weights / linear.variance, problems)
+    known = [_known(*each) for each in zip(values.tolist(), axes, noise, units, strict=True)]
+    agreeing = inliers.reshape(problems, -1)
+    moved = [True] * problems
+    if not all(determined[0] for determined, _ in known):
+        (parallax,) = medians(np.abs(pairs.parallax(vectors))[None], problems, some(inliers))
         moved = [p > _MOVED_SIGMAS * math.sqrt(u) for p, u in zip(parallax, units, strict=True)]
-    found = []
-    for k, m in enumerate(vectors):
-        count = int(np.count_nonzero(inliers[k]))
-        if count < MINIMUM_FEATURES:
-            found.append(_no_agreement(pairs.features, count))
-            continue
-        covariance, var_b = _covariance(m, axes[k].tolist(), variances[k].tolist())
-        reason = _problem(determined[k].tolist(), max(covariance[1][1], var_b), moved=moved[k])
-        direction, bearing_b = math.atan2(m[1], m[0]), math.atan2(m[3], m[2])
-        health = Health.DEGENERATE if reason else Health.OK
-        found.append(
-            PlanarEpipoles(
-                wrapped(bearing_b - direction),
-                direction,
-                np.array(covariance),
-                inliers[k],
-                health,
-                reason,
-                m,
-            )
-        )
-    return found
+    return [
+        _epipoles(m, agreeing[k], axes[k], *known[k], moved=moved[k]) for k, m in enumerate(vectors)
+    ]
+
+
+def _known(
+    values: list[float], axes: list[Vector], noise: NoiseSums, unit: float
+) -> tuple[list[bool], list[float]]:
+    """Return whether m is determined along three axes, and its variances.
+
+    With a short baseline, noise alone makes the rows of the constraint differ; its share is
+    taken out of the information ``values``, or an undetermined direction would look known.
+    ``unit`` is the variance of a residual.
+    """
+    determined, variances = [], []
+    for value, axis in zip(values, axes, strict=True):
+        share, doubt = noise.along(axis)
+        clear = value - unit * share
+        determined.append(clear > _SIGNIFICANCE * math.sqrt(2.0) * unit * doubt)
+        # Of an undetermined direction of the unit vector m nothing is known.
+        variances.append(unit / max(clear, 1e-300) if determined[-1] else 1.0)
+    return determined, variances
+
+
+def _epipoles(
+    m: Vector,
+    inliers: Mask,
+    axes: list[Vector],
+    determined: list[bool],
+    variances: list[float],
+    *,
+    moved: bool,
+) -> PlanarEpipoles:
+    count = int(np.count_nonzero(inliers))
+    if count < MINIMUM_FEATURES:
+        found = f"{count} of {len(inliers)} features fit one motion, {MINIMUM_FEATURES} are needed"
+        return _lost(len(inliers), f"no agreement: {found}")
+    covariance, var_b = _covariance(m, axes, variances)
+    reason = _problem(determined, max(covariance[1][1], var_b), moved=moved)
+    direction, bearing_b = math.atan2(m[1], m[0]), math.atan2(m[3], m[2])
+    return PlanarEpipoles(
+        wrapped(bearing_b - direction),
+        direction,
+        np.array(covariance),
+        inliers,
+        Health.DEGENERATE if reason else Health.OK,
+        reason,
+        m,
+    )
 
 
 def _covariance(
-    m: Vector, axes: list[list[float]], variances: list[float]
+    m: Vector, axes: list[Vector], variances: list[float]
 ) -> tuple[list[list[float]], float]:
     """Return the covariance (2, 2) of (phi, direction) and the variance of the other bearing.
 
@@ -375,19 +409,9 @@ def _problem(determined: list[bool], widest: float, *, moved: bool) -> str:
     return ""
 
 
-def _some(inside: Mask) -> Mask | None:
-    """Return ``inside``, or None where it is all."""
-    return None if np.count_nonzero(inside) == inside.size else inside
-
-
 def _vector(elements: Iterable[float]) -> Vector:
     p, q, r, s = elements
     return float(p), float(q), float(r), float(s)
-
-
-def _no_agreement(features: int, count: int) -> PlanarEpipoles:
-    found = f"{count} of {features} features fit one motion, {MINIMUM_FEATURES} are needed"
-    return _lost(features, f"no agreement: {found}")
 
 
 def _too_few(count: int) -> PlanarEpipoles:

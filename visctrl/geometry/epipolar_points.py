@@ -19,36 +19,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from visctrl.geometry.robust_fit import products, side_by_side
+
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Vector = tuple[float, float, float, float]
 
 
-def _quadratic_form() -> Array:
-    """Return Q (4, 4, 5) by the spans that its elements are made of."""
-    Q = np.zeros((4, 4, 5))
-    Q[0, 0, 0] = Q[1, 1, 2] = Q[2, 2, 3] = Q[3, 3, 2] = 1.0
-    Q[0, 1, 1] = Q[1, 0, 1] = Q[2, 3, 4] = Q[3, 2, 4] = -1.0
-    return Q
-
-
-#: Q m, flat, from m.
-_SPREAD = _quadratic_form().reshape(4, 20)
-#: mᵀ Q m from the products of m's elements that it contains.
-_FIRST, _SECOND = np.nonzero(_quadratic_form().any(axis=-1))
-_SUMMED = _quadratic_form()[_FIRST, _SECOND]
-
-
 class LinearPoints(NamedTuple):
-    """P pairs at one unit vector m each.
+    """P unit vectors m with the N features of their pairs side by side.
 
-    frames : (P, 4, 4), m and three vectors that complete it to an orthonormal basis.
-    residual : (P, N), r for unit noise of a coordinate.
-    jacobian : (P, 3, N), its derivatives along the three.
-    variance : (P, N), mᵀ Q m.
+    axes : for each pair three vectors that complete m to an orthonormal basis.
+    residual : (P N,), r for unit noise of a coordinate.
+    jacobian : (3, P N), its derivatives along the three.
+    variance : (P N,), mᵀ Q m.
     """
 
-    frames: Array
+    axes: list[tuple[Vector, Vector, Vector]]
     residual: Array
     jacobian: Array
     variance: Array
@@ -57,96 +43,122 @@ class LinearPoints(NamedTuple):
 class PointPairs:
     """Image points of N features in P pairs of views, and the products that all is made of.
 
-    rows : (P, 4, N), the constraint's coefficients of m.
-    spans : (P, 5, N), A, x_a, 1, B and x_b.
-
     Parameters
     ----------
-    a, b : (P, 2, N) arrays
-        (right, up)/forward; a leading axis may be missing where all pairs share the view.
+    a, b : sequences of P arrays (2, N)
+        (right, up)/forward. A view that several pairs share, or a pair of which several vectors
+        m are asked for, is repeated.
     """
 
-    def __init__(self, a: Array, b: Array) -> None:
-        shape = np.broadcast_shapes(a.shape, b.shape)
-        count, features = (1 if len(shape) == 2 else shape[0]), shape[-1]
-        xa, ya, xb, yb = a[..., 0, :], a[..., 1, :], b[..., 0, :], b[..., 1, :]
-        self._points = np.empty((count, 2, 2, features))
-        self._points[:, 0], self._points[:, 1] = a, b
-        self.rows = np.empty((count, 4, features))
-        np.multiply(yb, xa, out=self.rows[:, 0])
-        np.multiply(ya, xb, out=self.rows[:, 2])
-        np.negative(self.rows[:, 2], out=self.rows[:, 2])
-        self.rows[:, 1], self.rows[:, 3] = -yb, ya
-        square = self._points * self._points
-        self.spans = np.empty((count, 5, features))
-        np.add(square[:, 0, 0], square[:, 1, 1], out=self.spans[:, 0])
-        np.add(square[:, 1, 0], square[:, 0, 1], out=self.spans[:, 3])
-        self.spans[:, 1], self.spans[:, 2], self.spans[:, 4] = xa, 1.0, xb
-        length2 = square[:, :, 0] + square[:, :, 1] + 1.0
-        self._lengths = np.sqrt(length2[:, 0] * length2[:, 1])
-        self._heights = self._points[:, 0, 1] + self._points[:, 1, 1]
+    def __init__(self, a: Sequence[Array], b: Sequence[Array]) -> None:
+        self.features = a[0].shape[1]
+        self._a, self._b = np.concatenate(a, axis=1), np.concatenate(b, axis=1)
+        (xa, ya), (xb, yb) = self._a, self._b
+        ones = np.ones(len(xa))
+        self._rows = np.array([yb * xa, -yb, -ya * xb, ya])
+        #: A, x_a, 1, B and x_b.
+        self._spans = np.array([xa * xa + yb * yb, xa, ones, xb * xb + ya * ya, xb])
+        self._row_blocks = side_by_side(np.split(self._rows, len(a), axis=1))
+        self._span_blocks = side_by_side(np.split(self._spans, len(a), axis=1))
+        self._lengths = np.sqrt((xa * xa + ya * ya + 1.0) * (xb * xb + yb * yb + 1.0))
 
     @classmethod
-    def of(cls, points_a: ArrayLike, points_b: ArrayLike) -> PointPairs:
-        """Return one pair of points (N, 2)."""
+    def of(cls, points_a: ArrayLike, points_b: ArrayLike, vectors: int = 1) -> PointPairs:
+        """Return one pair of points (N, 2), for one vector m or several."""
         a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
-        return cls(a.T, b.T)
+        return cls([a.T] * vectors, [b.T] * vectors)
 
     @property
-    def features(self) -> int:
-        """N."""
-        return int(self.rows.shape[-1])
+    def rows(self) -> Array:
+        """The constraint's coefficients (4, P N) of m."""
+        return self._rows
 
     def squared(self, m: Array) -> Array:
-        """Return squared Sampson residuals (H, N) of the only pair for hypotheses m (H, 4)."""
-        products = (m[:, _FIRST] * m[:, _SECOND]) @ _SUMMED
-        variance = np.maximum(products @ self.spans[0], 1e-18)
-        return np.asarray((m @ self.rows[0]) ** 2 / variance)
+        """Return squared Sampson residuals (H, N) of the first pair for hypotheses m (H, 4)."""
+        rows, spans = self._rows[:, : self.features], self._spans[:, : self.features]
+        c, s, c_b, s_b = m.T
+        form = np.stack([c * c, -2.0 * c * s, s * s + s_b * s_b, c_b * c_b, -2.0 * c_b * s_b], -1)
+        return np.asarray((m @ rows) ** 2 / np.maximum(form @ spans, 1e-18))
 
     def linearised(self, vectors: Sequence[Vector]) -> LinearPoints:
-        """Return residuals and derivatives at each pair's m, or at several m of the only pair."""
-        frames = np.array([(m, *complement(m)) for m in vectors])
-        error = frames @ self.rows
-        spread = frames @ (frames[:, 0] @ _SPREAD).reshape(-1, 4, 5) @ self.spans
-        variance = np.maximum(spread[:, 0], 1e-18)
+        """Return residuals and derivatives at each pair's m."""
+        axes = [complement(m) for m in vectors]
+        frames = [(m, *three) for m, three in zip(vectors, axes, strict=True)]
+        # The same for each pair in its own columns: first m, then the three vectors across it.
+        along = [[e for frame in frames for e in frame[k]] for k in range(4)]
+        spread = [[e for f in frames for e in _form(f[0], f[k])] for k in range(4)]
+        errors = np.array(along).dot(self._row_blocks)
+        spreads = np.array(spread).dot(self._span_blocks)
+        variance = np.maximum(spreads[0], 1e-18)
         scale = 1.0 / np.sqrt(variance)
-        residual = error[:, 0] * scale
-        pull = (residual * scale)[:, None]
-        jacobian = (error[:, 1:] - pull * spread[:, 1:]) * scale[:, None]
-        return LinearPoints(frames, residual, jacobian, variance)
+        residual = errors[0] * scale
+        pull = residual * scale
+        jacobian = np.empty((3, len(scale)))
+        for row, error, spread_k in zip(jacobian, errors[1:], spreads[1:], strict=True):
+            np.multiply(error - pull * spread_k, scale, out=row)
+        return LinearPoints(axes, residual, jacobian, variance)
 
-    def noise_sums(self, axes: Array, weights: Array) -> tuple[Array, Array]:
-        """Return Σ w aᵀ Q a and √Σ (w aᵀ Q a)² (P, K) of axes a (P, K, 4), weights w (P, N)."""
-        products = (axes[..., _FIRST] * axes[..., _SECOND]) @ _SUMMED
-        weighted = weights[:, None] * self.spans
-        total = products @ weighted.sum(axis=2)[..., None]
-        gram = weighted @ weighted.transpose(0, 2, 1)
-        squares = ((products @ gram) * products).sum(axis=2)
-        return total[..., 0], np.sqrt(np.maximum(squares, 0.0))
+    def traces(self) -> Array:
+        """Return Q's traces (P N,): the sum of aᵀ Q a over any orthonormal axes."""
+        return np.asarray(self._spans[0] + self._spans[3] + 2.0)
 
-    def trace(self) -> Array:
-        """Return Q's traces (P, N): the sum of aᵀ Q a over any orthonormal axes."""
-        return np.asarray(self.spans[:, 0] + self.spans[:, 3] + 2.0)
+    def noise_sums(self, weights: Array, problems: int) -> list[NoiseSums]:
+        """Return what the sums of w aᵀ Q a over each pair's features are made of.
+
+        weights : (P N,), w.
+        """
+        weighted = self._spans * weights
+        totals = weighted.reshape(5, problems, -1).sum(axis=2).T.tolist()
+        squares = products(weighted, weighted, problems)
+        return [NoiseSums(*sums) for sums in zip(totals, squares, strict=True)]
 
     def parallax(self, vectors: Sequence[Vector]) -> Array:
-        """Return the sines (P, N) of the angles at the points, negative for those behind the views.
+        """Return the sines (P N,) of the angles at the points, negative for those behind the views.
 
         They are |a × b| of the unit rays by their components along, across and above the
         baseline. Those of points behind the views have a sum of both depths less than zero.
         """
-        turns = []
+        cosines_sines = []
         for c_a, s_a, c_b, s_b in vectors:
             a, b = 1.0 / max(math.hypot(c_a, s_a), 1e-300), 1.0 / max(math.hypot(c_b, s_b), 1e-300)
-            turns.append(((c_a * a, s_a * a), (c_b * b, s_b * b)))
-        cosines, sines = np.array(turns).transpose(2, 0, 1)[..., None]
-        right, up = self._points[:, :, 0], self._points[:, ::-1, 1]
-        along, across = cosines + sines * right, cosines * right - sines
-        level = along[:, 0] * across[:, 1] - across[:, 0] * along[:, 1]
-        lifted, beside = along * up, across * up
-        upright, off = lifted[:, 0] - lifted[:, 1], beside[:, 0] - beside[:, 1]
-        front = level * (across[:, 0] + across[:, 1]) + upright * self._heights
+            cosines_sines.append((c_a * a, s_a * a, c_b * b, s_b * b))
+        c_a, s_a, c_b, s_b = np.repeat(np.array(cosines_sines).T, self.features, axis=1)
+        (xa, ya), (xb, yb) = self._a, self._b
+        a_along, a_across = c_a + s_a * xa, c_a * xa - s_a
+        b_along, b_across = c_b + s_b * xb, c_b * xb - s_b
+        level = a_along * b_across - a_across * b_along
+        upright, off = a_along * yb - b_along * ya, a_across * yb - b_across * ya
+        front = level * (a_across + b_across) + upright * (ya + yb)
         size = np.sqrt(level * level + upright * upright + off * off) / self._lengths
         return np.asarray(np.copysign(size, front))
+
+
+class NoiseSums(NamedTuple):
+    """Sums over features by the five spans that Q is made of: Σ w, and Σ w² of products."""
+
+    totals: list[float]
+    squares: list[list[float]]
+
+    def along(self, axis: Vector) -> tuple[float, float]:
+        """Return Σ w aᵀ Q a and √Σ (w aᵀ Q a)²."""
+        form = _form(axis, axis)
+        share = sum(f * t for f, t in zip(form, self.totals, strict=True))
+        square = sum(
+            f * sum(g * s for g, s in zip(form, row, strict=True))
+            for f, row in zip(form, self.squares, strict=True)
+        )
+        return share, math.sqrt(max(square, 0.0))
+
+
+def _form(u: Vector, v: Vector) -> tuple[float, float, float, float, float]:
+    """Return the coefficients of the spans in uᵀ Q v."""
+    return (
+        u[0] * v[0],
+        -u[0] * v[1] - u[1] * v[0],
+        u[1] * v[1] + u[3] * v[3],
+        u[2] * v[2],
+        -u[2] * v[3] - u[3] * v[2],
+    )
 
 
 def complement(m: Vector) -> tuple[Vector, Vector, Vector]:

@@ -91,7 +91,7 @@ def sampson_residuals(
     order its standard deviation is that of one ray's direction.
     """
     linear = RayPairs.of(rays_a, rays_b).linearised([(phi, direction)])
-    return linear.residual[0], linear.jacobian[0].T
+    return linear.residual, linear.jacobian.T
 
 
 def ransac_planar_motion(

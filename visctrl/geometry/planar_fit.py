@@ -27,7 +27,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrapped
-from visctrl.geometry.robust_fit import Delta, Descent, Normal, medians, settle
+from visctrl.geometry.robust_fit import (
+    Delta,
+    Descent,
+    Normal,
+    Settled,
+    medians,
+    products,
+    settle,
+    side_by_side,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,12 +77,12 @@ class Fit(NamedTuple):
 
 
 class Linearised(NamedTuple):
-    """P pairs at one (φ, θ) each.
+    """P motions with their N features side by side.
 
-    parts : (P, 2, 2, N), a⊥ and a∥, b⊥ and b∥.
-    residual : (P, N), r in rad.
-    jacobian : (P, 2, N), ∂r/∂(φ, θ).
-    gradient2 : (P, N), g².
+    parts : (4, P N), a⊥, a∥, b⊥ and b∥.
+    residual : (P N,), r in rad.
+    jacobian : (2, P N), ∂r/∂(φ, θ).
+    gradient2 : (P N,), g².
     """
 
     parts: Array
@@ -83,87 +92,79 @@ class Linearised(NamedTuple):
 
 
 class RayPairs:
-    """Unit rays of N features in P pairs of views (A, B), component by component.
-
-    A single pair serves for several motions of it, too, where P motions are asked for.
+    """Unit rays of N features in P pairs of views (A, B).
 
     Parameters
     ----------
-    a, b : (P, 3, N) arrays
-        Rays (right, forward, up); a leading axis may be missing where all pairs share the view.
+    a, b : sequences of P arrays (3, N)
+        Rays (right, forward, up). A view that several pairs share, or a pair of which several
+        motions are asked for, is repeated.
     """
 
-    def __init__(self, a: Array, b: Array) -> None:
-        shape = np.broadcast_shapes(a.shape, b.shape)
-        count, features = (1 if len(shape) == 2 else shape[0]), shape[-1]
-        self._level = np.empty((count, 2, 2, features))
-        self._level[:, 0], self._level[:, 1] = a[..., :2, :], b[..., :2, :]
-        self._lift = np.empty((count, 2, features))
-        self._lift[:, 0], self._lift[:, 1] = b[..., 2, :], a[..., 2, :]
-        self._heights = self._lift[:, 0] + self._lift[:, 1]
-        np.negative(self._lift[:, 1], out=self._lift[:, 1])
-        square = self._lift * self._lift
-        self._up2 = square[:, 0] + square[:, 1]
-
-    @property
-    def features(self) -> int:
-        """N."""
-        return int(self._up2.shape[1])
+    def __init__(self, a: Sequence[Array], b: Sequence[Array]) -> None:
+        self.features = a[0].shape[1]
+        blocks = []
+        lifts = np.empty((2, len(a), self.features))
+        for p, (view_a, view_b) in enumerate(zip(a, b, strict=True)):
+            blocks.append(np.concatenate([view_a[:2], view_b[:2]]))
+            lifts[0, p], lifts[1, p] = view_a[2], view_b[2]
+        self._level = side_by_side(blocks)
+        self._a_up, self._b_up = lifts.reshape(2, -1)
+        self._heights = self._a_up + self._b_up
+        # Rays along the baseline and level with the camera have neither error nor gradient.
+        self._up2 = self._a_up * self._a_up + self._b_up * self._b_up + 1e-18
 
     @classmethod
-    def of(cls, rays_a: ArrayLike, rays_b: ArrayLike) -> RayPairs:
-        """Return one pair of rays (N, 3)."""
+    def of(cls, rays_a: ArrayLike, rays_b: ArrayLike, motions: int = 1) -> RayPairs:
+        """Return one pair of rays (N, 3), for one motion or several."""
         a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
-        return cls(a.T, b.T)
+        return cls([a.T] * motions, [b.T] * motions)
 
     def linearised(self, motions: Sequence[Motion]) -> Linearised:
         """Return residuals and derivatives at each pair's (φ, θ) in rad."""
-        turns = []
+        turns: tuple[list[float], ...] = ([], [], [], [])
         for phi, theta in motions:
             s, c, alpha = math.sin(theta), math.cos(theta), theta + phi
             s_b, c_b = math.sin(alpha), math.cos(alpha)
-            turns.append((((c, -s), (s, c)), ((c_b, -s_b), (s_b, c_b))))
-        parts = np.array(turns) @ self._level
-        products = np.empty((2, *parts.shape))
-        np.multiply(parts, self._lift[:, :, None], out=products[0])
-        np.multiply(parts, parts[:, :, :1], out=products[1])
-        error, gradient2 = products[:, :, 0, 0] + products[:, :, 1, 0]
+            turns[0].extend((c, -s, 0.0, 0.0))
+            turns[1].extend((s, c, 0.0, 0.0))
+            turns[2].extend((0.0, 0.0, c_b, -s_b))
+            turns[3].extend((0.0, 0.0, s_b, c_b))
+        parts = np.array(turns).dot(self._level)
+        a_across, a_along, b_across, b_along = parts
+        error = self._b_up * a_across - self._a_up * b_across
+        gradient2 = a_across * a_across + b_across * b_across
         gradient2 += self._up2
-        # Rays along the baseline and level with the camera have neither error nor gradient.
-        np.maximum(gradient2, 1e-18, out=gradient2)
         scale = 1.0 / np.sqrt(gradient2)
         residual = error * scale
-        pull = (residual * scale)[:, None]
-        by_theta, by_alpha = (pull * products[1, :, :, 1] - products[0, :, :, 1]).swapaxes(0, 1)
-        jacobian = np.empty((len(parts), 2, self.features))
-        np.multiply(by_alpha, scale, out=jacobian[:, 0])
-        np.multiply(by_theta + by_alpha, scale, out=jacobian[:, 1])
+        pull = residual * scale
+        by_theta = (pull * a_across - self._b_up) * a_along
+        by_alpha = (pull * b_across + self._a_up) * b_along
+        jacobian = np.empty((2, len(scale)))
+        np.multiply(by_alpha, scale, out=jacobian[0])
+        np.multiply(by_theta + by_alpha, scale, out=jacobian[1])
         return Linearised(parts, residual, jacobian, gradient2)
 
     def loudness(self, linear: Linearised) -> Array:
-        """Return 1 plus the variance (P, N) in σ² of ∂r/∂θ that pixel noise alone makes.
+        """Return 1 plus the variance (P N,) in σ² of ∂r/∂θ that pixel noise alone makes.
 
         That is (a_z² + b_z² + a∥² + b∥²)/g², and the rays are of unit length.
         """
         return np.asarray((self._up2 + 2.0) / linear.gradient2)
 
-    def votes(self, parts: Array, sigma: float, inside: Mask | None) -> list[float]:
-        """Return each pair's sum of votes on the sense of its baseline, by features ``inside``.
+    def votes(self, parts: Array, sigma: float, inside: Mask | None) -> Array:
+        """Return the votes (P N,) of features ``inside`` on the sense of the baselines.
 
         A feature votes with the sine of its parallax times the sum of both rays' sines from the
         baseline, positive where they meet in front of the views; far points have less weight,
         gross errors no more than a good point.
         """
-        up = parts[:, 0, 1] * parts[:, 1, 0] - parts[:, 0, 0] * parts[:, 1, 1]
-        lifted = parts[:, :, 1] * self._lift
-        across = lifted[:, 0] + lifted[:, 1]
-        front = up * (parts[:, 0, 0] + parts[:, 1, 0]) + across * self._heights
-        front *= 1.0 / max(_FULL_VOTE_SIGMAS * sigma, 1e-12)
-        votes = np.tanh(front, out=front)
-        if inside is not None:
-            votes *= inside
-        found: list[float] = votes.sum(axis=1).tolist()
-        return found
+        a_across, a_along, b_across, b_along = parts
+        level = a_along * b_across - a_across * b_along
+        upright = self._b_up * a_along - self._a_up * b_along
+        front = level * (a_across + b_across) + upright * self._heights
+        votes = np.tanh(front * (1.0 / max(_FULL_VOTE_SIGMAS * sigma, 1e-12)))
+        return np.asarray(votes if inside is None else votes * inside)
 
 
 def fit(
@@ -192,8 +193,9 @@ def fit(
         At most this many steps.
     """
     descents = [_Motion(start, iterations, _LONGEST_STEP) for start in starts]
-    linear, weights, inside = settle(pairs.linearised, descents, sigma, limit=limit, usable=present)
-    return _judged(pairs, [descent.ahead for descent in descents], linear, weights, inside, sigma)
+    usable = None if present is None else present.ravel()
+    settled = settle(pairs.linearised, descents, sigma, limit=limit, usable=usable)
+    return _judged(pairs, [descent.ahead for descent in descents], settled, sigma)
 
 
 class _Motion(Descent[Motion]):
@@ -213,41 +215,40 @@ class _Motion(Descent[Motion]):
 
 
 def _judged(
-    pairs: RayPairs,
-    motions: Sequence[Motion],
-    linear: Linearised,
-    weights: Array,
-    inside: Mask | None,
-    sigma: float,
+    pairs: RayPairs, motions: Sequence[Motion], settled: Settled[Linearised], sigma: float
 ) -> list[Fit]:
     """Return the fits at (φ, θ), what they are known by and what is not determined."""
-    jacobian = linear.jacobian
+    (linear, weights, inside), problems = settled, len(motions)
+    by_phi, by_theta = linear.jacobian
     shown = np.array([np.abs(linear.residual), pairs.loudness(linear)])
-    misfit, usual = medians(shown, inside)
+    loudness = shown[1]
+    misfit, usual = medians(shown, problems, inside)
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
     units = [max(sigma, 1.4826 * size) for size in misfit]
     loud = [1.0 + max(_MAX_NOISE, _USUAL_NOISE * (value - 1.0)) for value in usual]
-    agree, quiet = shown < np.array([[3.0 * unit for unit in units], loud])[:, :, None]
+    limits = np.array([[3.0 * unit for unit in units], loud])
+    agree, quiet = shown < np.repeat(limits, pairs.features, axis=1)
     if inside is not None:
         agree &= inside
     # Sums over the features, weighted in three ways, of four products.
-    rows = np.empty((len(weights), 3, weights.shape[1]))
-    rows[:, 0] = weights
-    np.divide(weights, shown[1], out=rows[:, 1])
-    np.multiply(weights, quiet, out=rows[:, 2])
-    products = np.empty((len(weights), 4, weights.shape[1]))
-    np.multiply(jacobian, jacobian[:, :1], out=products[:, :2])
-    np.multiply(jacobian[:, 1], jacobian[:, 1], out=products[:, 2])
-    np.subtract(shown[1], 1.0, out=products[:, 3])
-    sums = (rows @ products.transpose(0, 2, 1)).tolist()
-    noise = rows[:, :2] * products[:, 3:]
-    squares = (noise @ noise.transpose(0, 2, 1)).tolist()
-    votes = pairs.votes(linear.parts, sigma, inside)
+    rows, columns = np.empty((3, len(weights))), np.empty((4, len(weights)))
+    rows[0] = weights
+    np.divide(weights, loudness, out=rows[1])
+    np.multiply(weights, quiet, out=rows[2])
+    np.multiply(by_phi, by_phi, out=columns[0])
+    np.multiply(by_phi, by_theta, out=columns[1])
+    np.multiply(by_theta, by_theta, out=columns[2])
+    np.subtract(loudness, 1.0, out=columns[3])
+    sums = products(rows, columns, problems)
+    noise = rows[:2] * columns[3]
+    squares = products(noise, noise, problems)
+    votes = pairs.votes(linear.parts, sigma, inside).reshape(problems, -1).sum(axis=1).tolist()
+    agreeing = agree.reshape(problems, -1)
     fits = []
     for k, (phi, theta) in enumerate(motions):
         variance, reason = _variance(sums[k], squares[k], units[k] ** 2)
         direction = theta if votes[k] >= 0.0 else theta + math.pi
-        fits.append(Fit(wrapped(phi), wrapped(direction), variance, agree[k], reason))
+        fits.append(Fit(wrapped(phi), wrapped(direction), variance, agreeing[k], reason))
     return fits
 
 

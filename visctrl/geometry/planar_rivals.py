@@ -75,7 +75,7 @@ def rival_motion(
         (float(alpha[index] - theta[index]), float(theta[index]))
         for index in np.argsort(cost)[:_FINALISTS]
     ]
-    for rival in refine_motions(RayPairs.of(a, b), starts, sigma):
+    for rival in refine_motions(RayPairs.of(a, b, len(starts)), starts, sigma):
         other = _apart(np.array(0.0), np.array(rival.phi), motion).all()
         if other and _as_good(a, b, rival, motion, sigma):
             return rival

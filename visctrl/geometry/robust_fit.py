@@ -1,8 +1,9 @@
 """Soft-L1 least squares of several small problems at once.
 
-An array operation on a hundred features costs its call, not its arithmetic. So the residuals of
-all problems are evaluated together, (P, N) at a time, and what is two by two or three by three is
-done in plain floats, each problem on its own.
+An array operation on a hundred features costs its call, not its arithmetic, and four times as much
+where the arrays are not contiguous. So the features of P problems, N of each, lie side by side in
+rows of P N, one row a quantity, and what is two by two or three by three is done in plain floats,
+each problem on its own.
 
 A residual of r standard deviations, with x = r/k, costs √(1 + x²) − 1. Its weight in the normal
 equations is w = 1/√(1 + x²), its curvature w³. Beyond a limit the cost stays what it is there.
@@ -40,15 +41,15 @@ _FAR_OFF, _FAR_POINTS = 4.0, 3
 
 
 class Linear(Protocol):
-    """Residuals (P, N) and their derivatives (P, k, N) by k parameters."""
+    """Residuals and their derivatives by k parameters."""
 
     @property
     def residual(self) -> Array:
-        """(P, N)."""
+        """(P N,)."""
 
     @property
     def jacobian(self) -> Array:
-        """(P, k, N)."""
+        """(k, P N)."""
 
 
 LinearT = TypeVar("LinearT", bound=Linear)
@@ -116,8 +117,8 @@ class Descent(ABC, Generic[PointT]):
 class Settled(NamedTuple, Generic[LinearT]):
     """Where the descents have ended, but for last steps that are too short to matter.
 
-    weights : (P, N), of the features; zero where they do not count.
-    inside : (P, N) features that count, None for all.
+    weights : (P N,), of the features; zero where they do not count.
+    inside : (P N,) features that count, None for all.
     """
 
     linear: LinearT
@@ -144,13 +145,13 @@ def settle(
         Standard deviation of a residual.
     limit : float
         Residuals beyond it do not count; where most show more noise than ``sigma``, so much more.
-    usable : (P, N) array or None
+    usable : (P N,) array or None
         Features that count at all; None for all.
     """
     for number in itertools.count():
         linear = linearise([descent.ahead for descent in descents])
         weights, inside, costs, normals = _normal_equations(
-            linear, sigma, limit, usable, may_be_far=number < _FAR_POINTS
+            linear, len(descents), sigma, limit, usable, may_be_far=number < _FAR_POINTS
         )
         if all(descent.done for descent in descents):
             break
@@ -162,16 +163,23 @@ def settle(
 
 
 def _normal_equations(
-    linear: Linear, sigma: float, limit: float, usable: Mask | None, *, may_be_far: bool
+    linear: Linear,
+    problems: int,
+    sigma: float,
+    limit: float,
+    usable: Mask | None,
+    *,
+    may_be_far: bool,
 ) -> tuple[Array, Mask | None, list[float], list[Normal]]:
-    """Return weights (P, N), who counts, costs, and Hessians with the gradients below."""
-    scaled = linear.residual * (1.0 / (_KERNEL_SIGMAS * sigma))
+    """Return weights (P N,), who counts, costs, and Hessians with the gradients below."""
+    residual, jacobian = linear.residual, linear.jacobian
+    scaled = residual * (1.0 / (_KERNEL_SIGMAS * sigma))
     square, inside, units = scaled * scaled, usable, None
     if limit < math.inf:
         limit2 = (limit / (_KERNEL_SIGMAS * sigma)) ** 2
         inside = _within(square, limit2, usable)
         if may_be_far and inside is not None:
-            units = _units(square, inside, usable)
+            units = _units(square, problems, inside, usable)
             if units is not None:
                 square = square / units
                 inside = _within(square, limit2, usable)
@@ -182,55 +190,86 @@ def _normal_equations(
         root = np.where(inside, root, 1.0 if limit == math.inf else math.sqrt(1.0 + limit2))
     if usable is not None:
         root = np.where(usable, root, 1.0)
-    count = root.shape[1]
-    costs = [cost - count for cost in root.sum(axis=1).tolist()]
+    features = len(root) // problems
+    costs = [total - features for total in root.reshape(problems, -1).sum(axis=1).tolist()]
     # The kernel's own curvature makes it a Newton step; far off that would overshoot.
     least: float | Array = _LEAST_CURVATURE
     if units is not None:
         # The same residuals cost less by a smaller unit, so that a descent goes on.
-        costs = [cost * unit for cost, unit in zip(costs, units[:, 0].tolist(), strict=True)]
+        costs = [c * u for c, u in zip(costs, units[::features].tolist(), strict=True)]
         least = np.where(units > 1.0, 1.0, _LEAST_CURVATURE)
     curvature = weights * np.maximum(weights * weights, least)
-    jacobian = linear.jacobian
-    rows = np.empty((len(root), jacobian.shape[1] + 1, count))
-    np.multiply(jacobian, curvature[:, None], out=rows[:, :-1])
-    np.multiply(linear.residual, weights, out=rows[:, -1])
-    return weights, inside, costs, (rows @ jacobian.transpose(0, 2, 1)).tolist()
+    rows = np.empty((len(jacobian) + 1, len(root)))
+    for row, derivative in zip(rows, jacobian, strict=False):
+        np.multiply(derivative, curvature, out=row)
+    np.multiply(residual, weights, out=rows[-1])
+    return weights, inside, costs, products(rows, jacobian, problems)
 
 
 def _within(square: Array, limit2: float, usable: Mask | None) -> Mask | None:
-    """Return which of x² (P, N) are under a limit, None for all."""
+    """Return which of x² (P N,) are under a limit, None for all."""
     inside = square < limit2
     if usable is not None:
         inside &= usable
-    return None if np.count_nonzero(inside) == inside.size else inside
+    return some(inside)
 
 
-def _units(square: Array, inside: Mask, usable: Mask | None) -> Array | None:
-    """Return the variance (P, 1) for which to take the noise, None for its own.
+def _units(square: Array, problems: int, inside: Mask, usable: Mask | None) -> Array | None:
+    """Return the variance (P N,) for which to take the noise, None for its own.
 
     A start that is off by far more than the noise would keep to the few features that agree with
-    it: there the noise is taken for as large as the residuals x² (P, N) let it look.
+    it: there the noise is taken for as large as the residuals x² (P N,) let it look.
     """
-    counts = np.full(len(square), square.shape[1]) if usable is None else usable.sum(axis=1)
-    few = inside.sum(axis=1) < _MOST * counts
+    features = len(square) // problems
+    counts = np.full(problems, features)
+    if usable is not None:
+        counts = usable.reshape(problems, features).sum(axis=1)
+    few = inside.reshape(problems, features).sum(axis=1) < _MOST * counts
     if not few.any():
         return None
     shown = square if usable is None else np.where(usable, square, math.inf)
-    low = np.sort(shown, axis=1)[np.arange(len(square)), (_QUANTILE * counts).astype(np.intp)]
+    ordered = np.sort(shown.reshape(problems, features), axis=1)
+    low = ordered[np.arange(problems), (_QUANTILE * counts).astype(np.intp)]
     units = low * (_KERNEL_SIGMAS / _NORMAL_QUANTILE) ** 2
     far = few & (units > _FAR_OFF)
-    return np.where(far, units, 1.0)[:, None] if far.any() else None
+    return np.repeat(np.where(far, units, 1.0), features) if far.any() else None
 
 
-def medians(values: Array, inside: Mask | None) -> list[list[float]]:
-    """Return the (upper) medians (K, P) of values (K, P, N), of features ``inside`` (P, N)."""
-    found: list[list[float]]
-    if inside is None:
-        middle = values.shape[-1] // 2
-        found = np.partition(values, middle, axis=-1)[..., middle].tolist()
-        return found
-    ordered = np.sort(np.where(inside, values, math.inf), axis=-1)
-    middles = inside.sum(axis=-1) // 2
-    found = ordered[:, np.arange(len(middles)), middles].tolist()
+def some(inside: Mask) -> Mask | None:
+    """Return who is ``inside``, None for all."""
+    return None if np.count_nonzero(inside) == inside.size else inside
+
+
+def products(rows: Array, columns: Array, problems: int) -> list[list[list[float]]]:
+    """Return each problem's sums over its features of rows (K, P N) times columns (L, P N)."""
+    a = rows.reshape(len(rows), problems, -1).swapaxes(0, 1)
+    b = columns.reshape(len(columns), problems, -1).transpose(1, 2, 0)
+    found: list[list[list[float]]] = (a @ b).tolist()
     return found
+
+
+def medians(values: Array, problems: int, inside: Mask | None) -> list[list[float]]:
+    """Return each problem's (upper) medians (K, P) of values (K, P N), of features ``inside``."""
+    found: list[list[float]]
+    shown = values if inside is None else np.where(inside, values, math.inf)
+    shown = shown.reshape(len(values), problems, -1)
+    if inside is None:
+        middle = shown.shape[-1] // 2
+        found = np.partition(shown, middle, axis=-1)[..., middle].tolist()
+        return found
+    middles = inside.reshape(problems, -1).sum(axis=-1) // 2
+    found = np.sort(shown, axis=-1)[:, np.arange(problems), middles].tolist()
+    return found
+
+
+def side_by_side(blocks: Sequence[Array]) -> Array:
+    """Return a block diagonal matrix (P k, P N) of blocks (k, N).
+
+    A product with (l, P k) transforms each problem's k rows by its own k columns of that, and
+    the results lie side by side.
+    """
+    k, features = blocks[0].shape
+    matrix = np.zeros((k * len(blocks), features * len(blocks)))
+    for p, block in enumerate(blocks):
+        matrix[k * p : k * (p + 1), features * p : features * (p + 1)] = block
+    return matrix
