@@ -23,6 +23,7 @@ from visctrl.geometry.epipolar_planar import (
     turned,
 )
 from visctrl.geometry.epipolar_points import PointPairs
+from visctrl.geometry.epipolar_points import squared_residuals as squared_point_residuals
 from visctrl.geometry.epipolar_robust import robust_essential, robust_fundamental
 from visctrl.geometry.horizon import find_horizon
 from visctrl.geometry.parallax import signed_parallax
@@ -116,7 +117,7 @@ class Calibrated:
         """Return the motions near the last ones (see the protocol)."""
         starts = [(motion.phi + turn, motion.direction) for motion in last]
         fixed, current = rays
-        pairs, limit = RayPairs(list(fixed), [current] * len(fixed)), _RAY_SIGMAS * sigma
+        pairs, limit = RayPairs(fixed, current), _RAY_SIGMAS * sigma
         return refine_motions(pairs, starts, sigma, limit=limit, present=present)
 
     def unmoved(self) -> PlanarMotion:
@@ -169,7 +170,7 @@ class Uncalibrated:
         """Return the motions near the last ones (see the protocol)."""
         starts = [turned(_epipoles(motion).vector, 0.0, turn) for motion in last]
         fixed, current = (self._points(view) for view in rays)
-        pairs = PointPairs(list(fixed), [current] * len(fixed))
+        pairs = PointPairs(fixed, current)
         limit = _POINT_SIGMAS * sigma
         return list(refine_epipoles(pairs, starts, sigma, limit=limit, present=present))
 
@@ -183,9 +184,9 @@ class Uncalibrated:
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
     ) -> PlanarMotion:
         """Return ``last`` in the best direction (see the protocol)."""
-        pairs = PointPairs([self._points(a.T)], [self._points(b.T)])
+        points = self._points(a.T).T, self._points(b.T).T
         before, now = _bearing_vectors(last.phi), _bearing_vectors(last.phi + turn)
-        best = before[_least(pairs.squared(now), sigma)].tolist()
+        best = before[_least(squared_point_residuals(*points, now), sigma)].tolist()
         return replace(_epipoles(last), vector=tuple(best))
 
     def _points(self, rays: Array) -> Array:

@@ -15,62 +15,29 @@ length, and one at infinity (c = 0) is as good as any other. Only the horizon's 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robots.unicycle import wrapped
-from visctrl.geometry.epipolar_points import (
-    LinearPoints,
-    NoiseSums,
-    PointPairs,
-    Vector,
-    complement,
-)
+from visctrl.geometry import epipolar_fit
+from visctrl.geometry.epipolar_fit import ONE_PLANE as ONE_PLANE
+from visctrl.geometry.epipolar_fit import SHORT_BASELINE as SHORT_BASELINE
+from visctrl.geometry.epipolar_points import Lines, PointPairs, squared_residuals
 from visctrl.geometry.planar import PlanarMotion
-from visctrl.geometry.robust_fit import (
-    Delta,
-    Descent,
-    Normal,
-    Settled,
-    medians,
-    products,
-    settle,
-    some,
-)
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Vector = tuple[float, float, float, float]
 
 #: Three features fix m; fewer than this leave no residual to judge it by.
 MINIMUM_FEATURES = 5
-#: A direction of m shows when its information exceeds the noise's by this many deviations.
-_SIGNIFICANCE = 5.0
-#: Standard deviation (rad) of an epipole's bearing beyond which it counts as undetermined.
-_MAX_SD = 0.5
-#: A feature's parallax is at most this many times the usual one.
-_NEAREST = 10.0
-#: Noise of a row, in multiples of the usual one, beyond which it says nothing.
-_MAX_NOISE = 10.0
-#: Parallax, in a coordinate's noise, that shows that the view has moved.
-_MOVED_SIGMAS = 8.0
-#: Parallax (in a coordinate's noise) from which a feature has a full vote, and that which it may
-#: have against the others.
-_FULL_VOTE_SIGMAS, _BEHIND_SIGMAS = 3.0, 8.0
-#: Why a motion is not determined although the views differ.
-ONE_PLANE = (
-    "all features lie in one plane, and two motions explain them: let the camera see things at "
-    "different distances"
-)
-#: Why the epipoles are not determined although their turn is.
-SHORT_BASELINE = "short baseline: the direction of the epipoles is not determined"
 #: Hypotheses that are refined before the best is chosen, and by how many steps.
 _FINALISTS, _FINALIST_STEPS = 4, 2
-#: Steps on the best of them, at most, and the longest.
-_STEPS, _LONGEST_STEP = 12, 0.3
+#: Steps on the best of them, at most.
+_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -121,11 +88,21 @@ def sampson_residuals(
 
     To first order a residual has the standard deviation of one image coordinate.
     """
-    vector = np.asarray(m, dtype=np.float64)
-    length = float(np.linalg.norm(vector))
-    linear = PointPairs.of(points_a, points_b).linearised([_vector(vector / length)])
-    # The residual is the same for any length of m: nothing changes along m itself.
-    return linear.residual, np.array(linear.axes[0]).T @ linear.jacobian / length
+    c, s, c_b, s_b = vector = _vector(m)
+    linear = PointPairs.of(points_a, points_b).linearised([_lines(vector)])
+    by_phi, by_theta, by_scale = linear.jacobian
+    by_theta = by_theta - by_phi
+    # The same for any length of m: only θ, α and the ratio of both parts' lengths matter.
+    a2, b2 = c * c + s * s, c_b * c_b + s_b * s_b
+    slopes = np.array(
+        [
+            (-s * by_theta - c * by_scale) / a2,
+            (c * by_theta - s * by_scale) / a2,
+            (-s_b * by_phi + c_b * by_scale) / b2,
+            (c_b * by_phi + s_b * by_scale) / b2,
+        ]
+    )
+    return linear.residual, slopes
 
 
 def ransac_planar_epipoles(
@@ -152,19 +129,19 @@ def ransac_planar_epipoles(
     hypotheses : int
         Number of three-point samples, all scored in one array operation.
     """
-    pairs = PointPairs.of(points_a, points_b)
-    if pairs.features < MINIMUM_FEATURES:
-        return _too_few(pairs.features)
-    m = null_vectors(pairs.rows.T[_samples(pairs.features, hypotheses, seed)])
+    a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
+    if len(a) < MINIMUM_FEATURES:
+        return _too_few(len(a))
+    m = null_vectors(constraint_rows(a, b)[_samples(len(a), hypotheses, seed)])
     limit = threshold_sigmas * sigma
-    cost = np.minimum(pairs.squared(m), limit**2).sum(axis=-1)
-    best = m[np.argpartition(cost, _FINALISTS)[:_FINALISTS]]
-    descents = [_Epipoles(_vector(start), _FINALIST_STEPS, _LONGEST_STEP) for start in best]
-    several = PointPairs.of(points_a, points_b, len(descents))
-    settle(several.linearised, descents, sigma, limit=limit)
-    ends = [descent.ahead for descent in descents]
-    cost = np.minimum(pairs.squared(np.array(ends)), limit**2).sum(axis=-1)
-    return refine_epipoles(pairs, [ends[int(np.argmin(cost))]], sigma, limit=limit)[0]
+    cost = np.minimum(squared_residuals(a, b, m), limit**2).sum(axis=-1)
+    starts = [_lines(_vector(v)) for v in m[np.argpartition(cost, _FINALISTS)[:_FINALISTS]]]
+    ends, _ = epipolar_fit.descend(
+        PointPairs.of(a, b, len(starts)), starts, sigma, limit=limit, iterations=_FINALIST_STEPS
+    )
+    squared = squared_residuals(a, b, np.array([_unit_vector(lines) for lines in ends]))
+    best = _unit_vector(ends[int(np.argmin(np.minimum(squared, limit**2).sum(axis=-1)))])
+    return refine_epipoles(PointPairs.of(a, b), [best], sigma, limit=limit)[0]
 
 
 def refine_planar_epipoles(
@@ -210,10 +187,9 @@ def refine_epipoles(
     if pairs.features < MINIMUM_FEATURES:
         return [_too_few(pairs.features) for _ in starts]
     usable = None if present is None else present.ravel()
-    directed, plausible = _directed(pairs, starts, sigma, usable)
-    descents = [_Epipoles(start, _STEPS, _LONGEST_STEP) for start in directed]
-    settled = settle(pairs.linearised, descents, sigma, limit=limit, usable=plausible)
-    return _judged(pairs, [descent.ahead for descent in descents], settled, limit, sigma)
+    lines = [_lines(start) for start in starts]
+    fits = epipolar_fit.fit(pairs, lines, sigma, limit=limit, usable=usable, iterations=_STEPS)
+    return [_epipoles(found) for found in fits]
 
 
 def turned(m: Vector, turn_a: float = 0.0, turn_b: float = 0.0) -> Vector:
@@ -239,179 +215,44 @@ def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
     return np.stack([first, (first + step) % count, (first + other) % count], axis=-1)
 
 
-class _Epipoles(Descent[Vector]):
-    """Descent of one pair's m over the unit vectors."""
-
-    def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
-        """Return the step along the three vectors across m, and −gᵀ δ (see the base)."""
-        (a, b, c), (_, d, e), (_, _, f), (u, v, w) = normal
-        # A direction without information is held by a part of the others'.
-        floor = 1e-9 * max(a + d + f, 1e-12)
-        grown = 1.0 + damping
-        a, d, f = a * grown + floor, d * grown + floor, f * grown + floor
-        # H = L D Lᵀ, positive definite for its damping.
-        l_21, l_31 = b / a, c / a
-        d_2 = d - l_21 * b
-        l_32 = (e - l_21 * c) / d_2
-        d_3 = f - l_31 * c - l_32 * l_32 * d_2
-        y = v - l_21 * u
-        r = -(w - l_31 * u - l_32 * y) / d_3
-        q = -y / d_2 - l_32 * r
-        p = -u / a - l_21 * q - l_31 * r
-        return (p, q, r), -(p * u + q * v + r * w)
-
-    def moved(self, point: Vector, delta: Delta, part: float) -> Vector:
-        """Return m after a part of a step."""
-        p, q, r = (part * change for change in delta)
-        axes = complement(point)
-        after = [m + p * x + q * y + r * z for m, x, y, z in zip(point, *axes, strict=True)]
-        length = math.sqrt(sum(m * m for m in after))
-        return _vector(m / length for m in after)
-
-
-def _directed(
-    pairs: PointPairs, starts: Sequence[Vector], sigma: float, usable: Mask | None
-) -> tuple[list[Vector], Mask | None]:
-    """Return each m or −m, whichever puts the points in front of the views, and who agrees.
-
-    None stands for all. A feature agrees when its parallax is one that a point of the scene can
-    have. An outlier that happens to lie near its epipolar plane passes the residual test, and
-    with a short baseline its huge parallax would outweigh all others.
-    """
-    parallax = pairs.parallax(starts)
-    # Far points vote with less weight, gross errors with no more than a good point.
-    votes = np.tanh(parallax * (1.0 / (_FULL_VOTE_SIGMAS * sigma)))
-    if usable is not None:
-        votes *= usable
-    sums = votes.reshape(len(starts), -1).sum(axis=1).tolist()
-    senses = [1.0 if vote >= 0.0 else -1.0 for vote in sums]
-    (usual,) = medians(np.abs(parallax)[None], len(starts), usable)
-    noise = _BEHIND_SIGMAS * sigma
-    nearest = [max(_NEAREST * value, noise) for value in usual]
-    sense, limit = np.repeat(np.array([senses, nearest]), pairs.features, axis=1)
-    parallax *= sense
-    plausible = (parallax > -noise) & (parallax < limit)
-    if usable is not None:
-        plausible &= usable
-    directed = [_vector(s * e for e in m) for s, m in zip(senses, starts, strict=True)]
-    return directed, some(plausible)
-
-
-def _judged(
-    pairs: PointPairs,
-    vectors: Sequence[Vector],
-    settled: Settled[LinearPoints],
-    limit: float,
-    sigma: float,
-) -> list[PlanarEpipoles]:
-    """Return the epipoles at m, what they are known by and what is not determined."""
-    (linear, weights, inside), problems = settled, len(vectors)
-    shown = np.array([np.abs(linear.residual), pairs.traces() / linear.variance - 1.0])
-    inliers = shown[0] < limit
-    if inside is not None:
-        inliers &= inside
-    misfit, usual = medians(shown, problems, some(inliers))
-    # Residuals larger than promised widen the covariance; smaller ones do not narrow it. None
-    # exceed the limit but for the median of no inliers at all, which is infinite.
-    units = [max(sigma, 1.4826 * min(size, 1.0)) ** 2 for size in misfit]
-    # Features close to both the baseline and the horizon have rows of nothing but noise.
-    loud = np.repeat(np.array([_MAX_NOISE * value for value in usual]), pairs.features)
-    weights = weights * (inliers & (shown[1] < loud))
-    information = products(linear.jacobian * weights, linear.jacobian, problems)
-    values, turns = np.linalg.eigh(np.array(information))
-    axes = (turns.swapaxes(1, 2) @ np.array(linear.axes)).tolist()
-    noise = pairs.noise_sums(weights / linear.variance, problems)
-    known = [_known(*each) for each in zip(values.tolist(), axes, noise, units, strict=True)]
-    agreeing = inliers.reshape(problems, -1)
-    moved = [True] * problems
-    if not all(determined[0] for determined, _ in known):
-        (parallax,) = medians(np.abs(pairs.parallax(vectors))[None], problems, some(inliers))
-        moved = [p > _MOVED_SIGMAS * math.sqrt(u) for p, u in zip(parallax, units, strict=True)]
-    return [
-        _epipoles(m, agreeing[k], axes[k], *known[k], moved=moved[k]) for k, m in enumerate(vectors)
-    ]
-
-
-def _known(
-    values: list[float], axes: list[Vector], noise: NoiseSums, unit: float
-) -> tuple[list[bool], list[float]]:
-    """Return whether m is determined along three axes, and its variances.
-
-    With a short baseline, noise alone makes the rows of the constraint differ; its share is
-    taken out of the information ``values``, or an undetermined direction would look known.
-    ``unit`` is the variance of a residual.
-    """
-    determined, variances = [], []
-    for value, axis in zip(values, axes, strict=True):
-        share, doubt = noise.along(axis)
-        clear = value - unit * share
-        determined.append(clear > _SIGNIFICANCE * math.sqrt(2.0) * unit * doubt)
-        # Of an undetermined direction of the unit vector m nothing is known.
-        variances.append(unit / max(clear, 1e-300) if determined[-1] else 1.0)
-    return determined, variances
-
-
-def _epipoles(
-    m: Vector,
-    inliers: Mask,
-    axes: list[Vector],
-    determined: list[bool],
-    variances: list[float],
-    *,
-    moved: bool,
-) -> PlanarEpipoles:
-    count = int(np.count_nonzero(inliers))
+def _epipoles(found: epipolar_fit.LinesFit) -> PlanarEpipoles:
+    count, features = int(np.count_nonzero(found.inliers)), len(found.inliers)
     if count < MINIMUM_FEATURES:
-        found = f"{count} of {len(inliers)} features fit one motion, {MINIMUM_FEATURES} are needed"
-        return _lost(len(inliers), f"no agreement: {found}")
-    covariance, var_b = _covariance(m, axes, variances)
-    reason = _problem(determined, max(covariance[1][1], var_b), moved=moved)
-    direction, bearing_b = math.atan2(m[1], m[0]), math.atan2(m[3], m[2])
+        shown = f"{count} of {features} features fit one motion, {MINIMUM_FEATURES} are needed"
+        return _lost(features, f"no agreement: {shown}")
+    pp, pt, tt = found.variance
     return PlanarEpipoles(
-        wrapped(bearing_b - direction),
-        direction,
-        np.array(covariance),
-        inliers,
-        Health.DEGENERATE if reason else Health.OK,
-        reason,
-        m,
+        found.lines[0],
+        found.lines[1],
+        np.array([[pp, pt], [pt, tt]]),
+        found.inliers,
+        Health.DEGENERATE if found.reason else Health.OK,
+        found.reason,
+        _unit_vector(found.lines),
     )
 
 
-def _covariance(
-    m: Vector, axes: list[Vector], variances: list[float]
-) -> tuple[list[list[float]], float]:
-    """Return the covariance (2, 2) of (phi, direction) and the variance of the other bearing.
-
-    ``variances`` are those of m along three ``axes``.
-    """
-    length_a, length_b = m[0] ** 2 + m[1] ** 2, m[2] ** 2 + m[3] ** 2
-    pp = pt = tt = bb = 0.0
-    for (p, q, r, s), variance in zip(axes, variances, strict=True):
-        by_direction = (m[0] * q - m[1] * p) / length_a
-        by_bearing_b = (m[2] * s - m[3] * r) / length_b
-        turn = by_bearing_b - by_direction
-        pp += variance * turn * turn
-        pt += variance * turn * by_direction
-        tt += variance * by_direction * by_direction
-        bb += variance * by_bearing_b * by_bearing_b
-    return [[pp, pt], [pt, tt]], bb
+def _lines(m: Vector) -> Lines:
+    """Return (φ, θ, λ) of m."""
+    c, s, c_b, s_b = m
+    theta, alpha = math.atan2(s, c), math.atan2(s_b, c_b)
+    ratio = max(math.hypot(c_b, s_b), 1e-9) / max(math.hypot(c, s), 1e-9)
+    return alpha - theta, theta, math.log(ratio)
 
 
-def _problem(determined: list[bool], widest: float, *, moved: bool) -> str:
-    """Return the name of what is not determined, if anything; ``widest`` is a variance (rad²)."""
-    if not determined[1]:
-        return "features clustered: they do not separate turning from moving"
-    if not determined[0] and moved:
-        return ONE_PLANE
-    if not determined[0] or widest > _MAX_SD**2:
-        return SHORT_BASELINE
-    return ""
+def _unit_vector(lines: Lines) -> Vector:
+    """Return m of (φ, θ, λ)."""
+    phi, theta, scale = lines
+    ratio = math.exp(scale)
+    a = 1.0 / math.hypot(1.0, ratio)
+    b = a * ratio
+    alpha = theta + phi
+    return a * math.cos(theta), a * math.sin(theta), b * math.cos(alpha), b * math.sin(alpha)
 
 
-def _vector(elements: Iterable[float]) -> Vector:
-    p, q, r, s = elements
-    return float(p), float(q), float(r), float(s)
+def _vector(elements: ArrayLike) -> Vector:
+    c, s, c_b, s_b = np.asarray(elements, dtype=np.float64).tolist()
+    return c, s, c_b, s_b
 
 
 def _too_few(count: int) -> PlanarEpipoles:

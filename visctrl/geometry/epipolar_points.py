@@ -1,17 +1,24 @@
-"""Points of two views in planar motion: residuals of the epipolar constraint, and their noise.
+"""Image points of planar motion: residuals of the epipolar constraint, and their noise.
 
-`visctrl.geometry.epipolar_planar` says what m is. With x, y = (right, up)/forward the constraint is
-rows · m = 0 with rows = (y_b x_a, −y_b, −y_a x_b, y_a), and noise of the points gives rows · m
-the variance mᵀ Q m σ² with
+`visctrl.geometry.epipolar_planar` says what m is: here m = (cos θ, sin θ, κ cos α, κ sin α) but for
+its length, with α = θ + φ and λ = ln κ. With the components of (x, 1) across and along the
+baseline, and of y (1, 0),
 
-    Q = [A, −x_a; −x_a, 1] ⊕ [B, −x_b; −x_b, 1],   A = x_a² + y_b²,   B = x_b² + y_a²,
+    a⊥ = x_a cos θ − sin θ,   a∥ = x_a sin θ + cos θ,   a_c = y_b cos θ,   a_s = y_b sin θ,
 
-so that Sampson's residual is r = rows · m / √(mᵀ Q m) and ∂r/∂m = (rows − rows · m/(mᵀ Q m) Q m)
-/√(mᵀ Q m). Everything is done for several pairs of views, or several m of one pair, at once.
+and for view B κ times the same of x_b, y_a and α, the constraint and its gradient by the four
+coordinates are
+
+    e = y_b a⊥ − y_a b⊥ = 0,   g² = a⊥² + a_c² + b⊥² + b_c²,   r = e/g  (Sampson),
+
+    ∂e/∂(θ, α, λ) = (−y_b a∥, y_a b∥, −y_a b⊥),
+    ½ ∂g²/∂(θ, α, λ) = (−(a⊥ a∥ + a_c a_s), −(b⊥ b∥ + b_c b_s), b⊥² + b_c²),
+    ∂r/∂(θ, α, λ) = (∂e/∂(θ, α, λ) − (r/g) ½ ∂g²/∂(θ, α, λ)) / g.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,149 +26,122 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from visctrl.geometry.robust_fit import products, side_by_side
+from visctrl.geometry.level_pairs import LevelPairs
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float, float]
+Complex = NDArray[np.complex128]
+#: (φ, θ, λ).
+Lines = tuple[float, float, float]
 
 
 class LinearPoints(NamedTuple):
-    """P unit vectors m with the N features of their pairs side by side.
+    """P pairs of epipolar lines with the N features of their views side by side.
 
-    axes : for each pair three vectors that complete m to an orthonormal basis.
-    residual : (P N,), r for unit noise of a coordinate.
-    jacobian : (3, P N), its derivatives along the three.
-    variance : (P N,), mᵀ Q m.
+    residual : (P N,), r in units of ``unit``.
+    jacobian : (3, P N), ∂r/∂(φ, θ, λ).
+    a, b, a_lift, b_lift : (P N,), a⊥ + i a∥, b⊥ + i b∥, a_c + i a_s and b_c + i b_s.
+    own : (2, P N), a⊥² + a_c² and b⊥² + b_c²: g² in two parts.
+    mixed : (2, P N), a⊥ a∥ + a_c a_s and b⊥ b∥ + b_c b_s.
     """
 
-    axes: list[tuple[Vector, Vector, Vector]]
     residual: Array
     jacobian: Array
-    variance: Array
-
-
-class PointPairs:
-    """Image points of N features in P pairs of views, and the products that all is made of.
-
-    Parameters
-    ----------
-    a, b : sequences of P arrays (2, N)
-        (right, up)/forward. A view that several pairs share, or a pair of which several vectors
-        m are asked for, is repeated.
-    """
-
-    def __init__(self, a: Sequence[Array], b: Sequence[Array]) -> None:
-        self.features = a[0].shape[1]
-        self._a, self._b = np.concatenate(a, axis=1), np.concatenate(b, axis=1)
-        (xa, ya), (xb, yb) = self._a, self._b
-        ones = np.ones(len(xa))
-        self._rows = np.array([yb * xa, -yb, -ya * xb, ya])
-        #: A, x_a, 1, B and x_b.
-        self._spans = np.array([xa * xa + yb * yb, xa, ones, xb * xb + ya * ya, xb])
-        self._row_blocks = side_by_side(np.split(self._rows, len(a), axis=1))
-        self._span_blocks = side_by_side(np.split(self._spans, len(a), axis=1))
-        self._lengths = np.sqrt((xa * xa + ya * ya + 1.0) * (xb * xb + yb * yb + 1.0))
-
-    @classmethod
-    def of(cls, points_a: ArrayLike, points_b: ArrayLike, vectors: int = 1) -> PointPairs:
-        """Return one pair of points (N, 2), for one vector m or several."""
-        a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
-        return cls([a.T] * vectors, [b.T] * vectors)
+    a: Complex
+    b: Complex
+    a_lift: Complex
+    b_lift: Complex
+    own: Array
+    mixed: Array
 
     @property
-    def rows(self) -> Array:
-        """The constraint's coefficients (4, P N) of m."""
-        return self._rows
+    def gradient2(self) -> Array:
+        """(P N,), g²."""
+        return np.asarray(self.own[0] + self.own[1])
 
-    def squared(self, m: Array) -> Array:
-        """Return squared Sampson residuals (H, N) of the first pair for hypotheses m (H, 4)."""
-        rows, spans = self._rows[:, : self.features], self._spans[:, : self.features]
-        c, s, c_b, s_b = m.T
-        form = np.stack([c * c, -2.0 * c * s, s * s + s_b * s_b, c_b * c_b, -2.0 * c_b * s_b], -1)
-        return np.asarray((m @ rows) ** 2 / np.maximum(form @ spans, 1e-18))
+    def noise(self) -> Array:
+        """Return what pixel noise makes of ∂e/∂m, as six products (6, P N) in σ².
 
-    def linearised(self, vectors: Sequence[Vector]) -> LinearPoints:
-        """Return residuals and derivatives at each pair's m."""
-        axes = [complement(m) for m in vectors]
-        frames = [(m, *three) for m, three in zip(vectors, axes, strict=True)]
-        # The same for each pair in its own columns: first m, then the three vectors across it.
-        along = [[e for frame in frames for e in frame[k]] for k in range(4)]
-        spread = [[e for f in frames for e in _form(f[0], f[k])] for k in range(4)]
-        errors = np.array(along).dot(self._row_blocks)
-        spreads = np.array(spread).dot(self._span_blocks)
-        variance = np.maximum(spreads[0], 1e-18)
-        scale = 1.0 / np.sqrt(variance)
-        residual = errors[0] * scale
-        pull = residual * scale
-        jacobian = np.empty((3, len(scale)))
-        for row, error, spread_k in zip(jacobian, errors[1:], spreads[1:], strict=True):
-            np.multiply(error - pull * spread_k, scale, out=row)
-        return LinearPoints(axes, residual, jacobian, variance)
-
-    def traces(self) -> Array:
-        """Return Q's traces (P N,): the sum of aᵀ Q a over any orthonormal axes."""
-        return np.asarray(self._spans[0] + self._spans[3] + 2.0)
-
-    def noise_sums(self, weights: Array, problems: int) -> list[NoiseSums]:
-        """Return what the sums of w aᵀ Q a over each pair's features are made of.
-
-        weights : (P N,), w.
+        With unit vectors along the baselines and across them, they are those of the changes
+        across a and a, b and b, across and along a, across and along b, along a and a, b and b.
         """
-        weighted = self._spans * weights
-        totals = weighted.reshape(5, problems, -1).sum(axis=2).T.tolist()
-        squares = products(weighted, weighted, problems)
-        return [NoiseSums(*sums) for sums in zip(totals, squares, strict=True)]
+        across_a = self.a.imag**2 + self.a_lift.imag**2
+        across_b = self.b.imag**2 + self.b_lift.imag**2
+        return np.concatenate([[across_a, across_b], self.mixed, self.own])
 
-    def parallax(self, vectors: Sequence[Vector]) -> Array:
-        """Return the sines (P N,) of the angles at the points, negative for those behind the views.
 
-        They are |a × b| of the unit rays by their components along, across and above the
-        baseline. Those of points behind the views have a sum of both depths less than zero.
+class PointPairs(LevelPairs):
+    """Image points of features in pairs of views, as rays (x, 1, y) of different lengths."""
+
+    def __init__(self, a: Array, b: Array) -> None:
+        """Take points (right, up)/forward, (P, 2, N) and (P, 2, N) or (2, N)."""
+        super().__init__(_rays(a), _rays(b))
+
+    @classmethod
+    def of(cls, points_a: ArrayLike, points_b: ArrayLike, lines: int = 1) -> PointPairs:
+        """Return one pair of points (N, 2), once for each of several epipolar lines."""
+        a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
+        return cls(np.array([a.T] * lines), b.T)
+
+    def look(self, b: Array) -> None:
+        """Put other rays in the place of view B's."""
+        super().look(b)
+        level = self._level.real.reshape(2, -1)
+        lengths2 = level * level + self._up.reshape(2, -1) ** 2 + 1.0
+        #: Q's trace: the noise of ∂e/∂m along any orthonormal axes in all.
+        self.trace = lengths2[0] + lengths2[1]
+        self._lengths = np.sqrt(lengths2[0] * lengths2[1])
+
+    def linearised(self, lines: Sequence[Lines], unit: float = 1.0) -> LinearPoints:
+        """Return residuals in units of ``unit`` and derivatives at each pair's (φ, θ, λ)."""
+        turns = [cmath.rect(1.0, theta) for _, theta, _ in lines]
+        turns += [cmath.rect(math.exp(scale), theta + phi) for phi, theta, scale in lines]
+        factors = np.array(turns).reshape(2, -1, 1)
+        a, b = (self._level * factors).reshape(2, -1)
+        # The heights of the other view move with each view's baseline.
+        a_lift, b_lift = (self._up[::-1] * factors).reshape(2, -1)
+        depth_b = self.a_up * b.real
+        error = self.b_up * a.real - depth_b
+        own, mixed = np.empty((2, len(error))), np.empty((2, len(error)))
+        for row, cross, z, lift in ((own[0], mixed[0], a, a_lift), (own[1], mixed[1], b, b_lift)):
+            np.add(z.real * z.real, lift.real * lift.real, out=row)
+            np.add(z.real * z.imag, lift.real * lift.imag, out=cross)
+        inverse = 1.0 / np.maximum(own[0] + own[1], 1e-18)
+        scale = np.sqrt(inverse) * (1.0 / unit)
+        pull = error * inverse
+        by_theta = pull * mixed[0] - self.b_up * a.imag
+        by_alpha = pull * mixed[1] + self.a_up * b.imag
+        jacobian = np.empty((3, len(error)))
+        np.multiply(by_alpha, scale, out=jacobian[0])
+        np.multiply(by_theta + by_alpha, scale, out=jacobian[1])
+        np.multiply(pull * own[1] + depth_b, -scale, out=jacobian[2])
+        return LinearPoints(error * scale, jacobian, a, b, a_lift, b_lift, own, mixed)
+
+    def parallax(self, lines: Sequence[Lines]) -> Array:
+        """Return the sines (P N,) of the angles at the points, negative for those behind.
+
+        They are |a × b| of the unit rays by their components along, across and above the baseline.
         """
-        cosines_sines = []
-        for c_a, s_a, c_b, s_b in vectors:
-            a, b = 1.0 / max(math.hypot(c_a, s_a), 1e-300), 1.0 / max(math.hypot(c_b, s_b), 1e-300)
-            cosines_sines.append((c_a * a, s_a * a, c_b * b, s_b * b))
-        c_a, s_a, c_b, s_b = np.repeat(np.array(cosines_sines).T, self.features, axis=1)
-        (xa, ya), (xb, yb) = self._a, self._b
-        a_along, a_across = c_a + s_a * xa, c_a * xa - s_a
-        b_along, b_across = c_b + s_b * xb, c_b * xb - s_b
-        level = a_along * b_across - a_across * b_along
-        upright, off = a_along * yb - b_along * ya, a_across * yb - b_across * ya
-        front = level * (a_across + b_across) + upright * (ya + yb)
+        a, b = self.turned(lines)
+        level = a.imag * b.real - a.real * b.imag
+        upright = self.b_up * a.imag - self.a_up * b.imag
+        off = self.b_up * a.real - self.a_up * b.real
+        front = level * (a.real + b.real) + upright * self._heights
         size = np.sqrt(level * level + upright * upright + off * off) / self._lengths
         return np.asarray(np.copysign(size, front))
 
 
-class NoiseSums(NamedTuple):
-    """Sums over features by the five spans that Q is made of: Σ w, and Σ w² of products."""
-
-    totals: list[float]
-    squares: list[list[float]]
-
-    def along(self, axis: Vector) -> tuple[float, float]:
-        """Return Σ w aᵀ Q a and √Σ (w aᵀ Q a)²."""
-        form = _form(axis, axis)
-        share = sum(f * t for f, t in zip(form, self.totals, strict=True))
-        square = sum(
-            f * sum(g * s for g, s in zip(form, row, strict=True))
-            for f, row in zip(form, self.squares, strict=True)
-        )
-        return share, math.sqrt(max(square, 0.0))
+def squared_residuals(points_a: Array, points_b: Array, m: Array) -> Array:
+    """Return squared Sampson residuals (H, N) of points (N, 2) for hypotheses m (H, 4)."""
+    (xa, ya), (xb, yb) = points_a.T, points_b.T
+    c, s, c_b, s_b = m.T[:, :, None]
+    across_a, across_b = c * xa - s, c_b * xb - s_b
+    error = yb * across_a - ya * across_b
+    gradient2 = across_a**2 + across_b**2 + (c * yb) ** 2 + (c_b * ya) ** 2
+    return np.asarray(error * error / np.maximum(gradient2, 1e-18))
 
 
-def _form(u: Vector, v: Vector) -> tuple[float, float, float, float, float]:
-    """Return the coefficients of the spans in uᵀ Q v."""
-    return (
-        u[0] * v[0],
-        -u[0] * v[1] - u[1] * v[0],
-        u[1] * v[1] + u[3] * v[3],
-        u[2] * v[2],
-        -u[2] * v[3] - u[3] * v[2],
-    )
-
-
-def complement(m: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return three orthonormal vectors orthogonal to the unit vector m."""
-    p, q, r, s = m
-    return (-q, p, -s, r), (-r, s, p, -q), (-s, -r, q, p)
+def _rays(points: Array) -> Array:
+    """Return (x, 1, y) (..., 3, N) of points (..., 2, N)."""
+    rays = np.ones((*points.shape[:-2], 3, points.shape[-1]))
+    rays[..., ::2, :] = points
+    return rays

@@ -27,7 +27,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrapped
+from visctrl.geometry.level_pairs import Complex, LevelPairs
 from visctrl.geometry.robust_fit import (
+    KERNEL_SIGMAS,
     Delta,
     Descent,
     Normal,
@@ -35,7 +37,6 @@ from visctrl.geometry.robust_fit import (
     medians,
     products,
     settle,
-    side_by_side,
 )
 
 Array = NDArray[np.float64]
@@ -79,71 +80,50 @@ class Fit(NamedTuple):
 class Linearised(NamedTuple):
     """P motions with their N features side by side.
 
-    parts : (4, P N), a⊥, a∥, b⊥ and b∥.
-    residual : (P N,), r in rad.
+    a, b : (P N,), the level parts of the rays about the baseline, a⊥ + i a∥ and b⊥ + i b∥.
+    residual : (P N,), r in units of ``unit`` rad.
     jacobian : (2, P N), ∂r/∂(φ, θ).
     gradient2 : (P N,), g².
     """
 
-    parts: Array
+    a: Complex
+    b: Complex
     residual: Array
     jacobian: Array
     gradient2: Array
 
 
-class RayPairs:
-    """Unit rays of N features in P pairs of views (A, B).
-
-    Parameters
-    ----------
-    a, b : sequences of P arrays (3, N)
-        Rays (right, forward, up). A view that several pairs share, or a pair of which several
-        motions are asked for, is repeated.
-    """
-
-    def __init__(self, a: Sequence[Array], b: Sequence[Array]) -> None:
-        self.features = a[0].shape[1]
-        blocks = []
-        lifts = np.empty((2, len(a), self.features))
-        for p, (view_a, view_b) in enumerate(zip(a, b, strict=True)):
-            blocks.append(np.concatenate([view_a[:2], view_b[:2]]))
-            lifts[0, p], lifts[1, p] = view_a[2], view_b[2]
-        self._level = side_by_side(blocks)
-        self._a_up, self._b_up = lifts.reshape(2, -1)
-        self._heights = self._a_up + self._b_up
-        # Rays along the baseline and level with the camera have neither error nor gradient.
-        self._up2 = self._a_up * self._a_up + self._b_up * self._b_up + 1e-18
+class RayPairs(LevelPairs):
+    """Unit rays of features in pairs of views."""
 
     @classmethod
     def of(cls, rays_a: ArrayLike, rays_b: ArrayLike, motions: int = 1) -> RayPairs:
-        """Return one pair of rays (N, 3), for one motion or several."""
+        """Return one pair of rays (N, 3), once for each of several motions."""
         a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
-        return cls([a.T] * motions, [b.T] * motions)
+        return cls(np.array([a.T] * motions), b.T)
 
-    def linearised(self, motions: Sequence[Motion]) -> Linearised:
-        """Return residuals and derivatives at each pair's (φ, θ) in rad."""
-        turns: tuple[list[float], ...] = ([], [], [], [])
-        for phi, theta in motions:
-            s, c, alpha = math.sin(theta), math.cos(theta), theta + phi
-            s_b, c_b = math.sin(alpha), math.cos(alpha)
-            turns[0].extend((c, -s, 0.0, 0.0))
-            turns[1].extend((s, c, 0.0, 0.0))
-            turns[2].extend((0.0, 0.0, c_b, -s_b))
-            turns[3].extend((0.0, 0.0, s_b, c_b))
-        parts = np.array(turns).dot(self._level)
-        a_across, a_along, b_across, b_along = parts
-        error = self._b_up * a_across - self._a_up * b_across
+    def look(self, b: Array) -> None:
+        """Put other rays in the place of view B's."""
+        super().look(b)
+        # Rays along the baseline and level with the camera have neither error nor gradient.
+        self._up2 = self.a_up * self.a_up + self.b_up * self.b_up + 1e-18
+
+    def linearised(self, motions: Sequence[Motion], unit: float = 1.0) -> Linearised:
+        """Return residuals in units of ``unit`` rad, and derivatives, at each pair's (φ, θ)."""
+        a, b = self.turned(motions)
+        a_across, b_across = a.real, b.real
+        error = self.b_up * a_across - self.a_up * b_across
         gradient2 = a_across * a_across + b_across * b_across
         gradient2 += self._up2
-        scale = 1.0 / np.sqrt(gradient2)
-        residual = error * scale
-        pull = residual * scale
-        by_theta = (pull * a_across - self._b_up) * a_along
-        by_alpha = (pull * b_across + self._a_up) * b_along
+        inverse = 1.0 / gradient2
+        scale = np.sqrt(inverse) * (1.0 / unit)
+        pull = error * inverse
+        by_theta = (pull * a_across - self.b_up) * a.imag
+        by_alpha = (pull * b_across + self.a_up) * b.imag
         jacobian = np.empty((2, len(scale)))
         np.multiply(by_alpha, scale, out=jacobian[0])
         np.multiply(by_theta + by_alpha, scale, out=jacobian[1])
-        return Linearised(parts, residual, jacobian, gradient2)
+        return Linearised(a, b, error * scale, jacobian, gradient2)
 
     def loudness(self, linear: Linearised) -> Array:
         """Return 1 plus the variance (P N,) in σ² of ∂r/∂θ that pixel noise alone makes.
@@ -152,19 +132,13 @@ class RayPairs:
         """
         return np.asarray((self._up2 + 2.0) / linear.gradient2)
 
-    def votes(self, parts: Array, sigma: float, inside: Mask | None) -> Array:
-        """Return the votes (P N,) of features ``inside`` on the sense of the baselines.
+    def votes(self, linear: Linearised, sigma: float) -> Array:
+        """Return each feature's vote (P N,) on the sense of its baseline.
 
-        A feature votes with the sine of its parallax times the sum of both rays' sines from the
-        baseline, positive where they meet in front of the views; far points have less weight,
-        gross errors no more than a good point.
+        Far points have less weight, gross errors no more than a good point.
         """
-        a_across, a_along, b_across, b_along = parts
-        level = a_along * b_across - a_across * b_along
-        upright = self._b_up * a_along - self._a_up * b_along
-        front = level * (a_across + b_across) + upright * self._heights
-        votes = np.tanh(front * (1.0 / max(_FULL_VOTE_SIGMAS * sigma, 1e-12)))
-        return np.asarray(votes if inside is None else votes * inside)
+        front = self.front(linear.a, linear.b)
+        return np.asarray(np.tanh(front * (1.0 / max(_FULL_VOTE_SIGMAS * sigma, 1e-12))))
 
 
 def fit(
@@ -192,9 +166,14 @@ def fit(
     iterations : int
         At most this many steps.
     """
+
+    def linearise(motions: list[Motion]) -> Linearised:
+        return pairs.linearised(motions, KERNEL_SIGMAS * sigma)
+
     descents = [_Motion(start, iterations, _LONGEST_STEP) for start in starts]
     usable = None if present is None else present.ravel()
-    settled = settle(pairs.linearised, descents, sigma, limit=limit, usable=usable)
+    relative = limit / (KERNEL_SIGMAS * sigma)
+    settled = settle(linearise, descents, limit=relative, usable=usable)
     return _judged(pairs, [descent.ahead for descent in descents], settled, sigma)
 
 
@@ -218,43 +197,45 @@ def _judged(
     pairs: RayPairs, motions: Sequence[Motion], settled: Settled[Linearised], sigma: float
 ) -> list[Fit]:
     """Return the fits at (φ, θ), what they are known by and what is not determined."""
-    (linear, weights, inside), problems = settled, len(motions)
+    linear, weights, inside = settled
     by_phi, by_theta = linear.jacobian
-    shown = np.array([np.abs(linear.residual), pairs.loudness(linear)])
-    loudness = shown[1]
-    misfit, usual = medians(shown, problems, inside)
+    shown = np.empty((2, len(weights)))
+    np.abs(linear.residual, out=shown[0])
+    loudness = shown[1] = pairs.loudness(linear)
+    misfit, usual = medians(shown, pairs.pairs, inside)
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
-    units = [max(sigma, 1.4826 * size) for size in misfit]
+    units = [max(1.0 / KERNEL_SIGMAS, 1.4826 * size) for size in misfit]
     loud = [1.0 + max(_MAX_NOISE, _USUAL_NOISE * (value - 1.0)) for value in usual]
-    limits = np.array([[3.0 * unit for unit in units], loud])
-    agree, quiet = shown < np.repeat(limits, pairs.features, axis=1)
+    limits = np.array([[3.0 * unit for unit in units], loud])[:, :, None]
+    agree, quiet = shown.reshape(2, pairs.pairs, -1) < limits
     if inside is not None:
-        agree &= inside
-    # Sums over the features, weighted in three ways, of four products.
-    rows, columns = np.empty((3, len(weights))), np.empty((4, len(weights)))
+        agree &= inside.reshape(agree.shape)
+    # Sums over the features, weighted in three ways, of products of the derivatives and the noise.
+    rows, columns = np.empty((3, len(weights))), np.empty((6, len(weights)))
     rows[0] = weights
     np.divide(weights, loudness, out=rows[1])
-    np.multiply(weights, quiet, out=rows[2])
+    np.multiply(weights, quiet.ravel(), out=rows[2])
     np.multiply(by_phi, by_phi, out=columns[0])
     np.multiply(by_phi, by_theta, out=columns[1])
     np.multiply(by_theta, by_theta, out=columns[2])
-    np.subtract(loudness, 1.0, out=columns[3])
-    sums = products(rows, columns, problems)
-    noise = rows[:2] * columns[3]
-    squares = products(noise, noise, problems)
-    votes = pairs.votes(linear.parts, sigma, inside).reshape(problems, -1).sum(axis=1).tolist()
-    agreeing = agree.reshape(problems, -1)
+    noise = np.subtract(loudness, 1.0, out=columns[3])
+    noise2 = noise * noise
+    np.multiply(noise2, rows[0], out=columns[4])
+    np.multiply(noise2, rows[1], out=columns[5])
+    sums = products(rows, columns, pairs.pairs)
+    votes = pairs.votes(linear, sigma)
+    if inside is not None:
+        votes *= inside
+    sense = votes.reshape(pairs.pairs, -1).sum(axis=1).tolist()
     fits = []
     for k, (phi, theta) in enumerate(motions):
-        variance, reason = _variance(sums[k], squares[k], units[k] ** 2)
-        direction = theta if votes[k] >= 0.0 else theta + math.pi
-        fits.append(Fit(wrapped(phi), wrapped(direction), variance, agreeing[k], reason))
+        variance, reason = _variance(sums[k], units[k] ** 2)
+        direction = theta if sense[k] >= 0.0 else theta + math.pi
+        fits.append(Fit(wrapped(phi), wrapped(direction), variance, agree[k], reason))
     return fits
 
 
-def _variance(
-    sums: list[list[float]], squares: list[list[float]], unit: float
-) -> tuple[tuple[float, float, float], str]:
+def _variance(sums: list[list[float]], unit: float) -> tuple[tuple[float, float, float], str]:
     """Return the variances of φ, of both and of θ, and the name of the degeneracy, if any.
 
     With a short baseline the noise itself makes the θ column non-zero; its share is taken out
@@ -265,19 +246,19 @@ def _variance(
     Parameters
     ----------
     sums : three rows, of all features, of all by how little noise they have, of the quiet ones
-        Weighted sums of (∂r/∂φ)², ∂r/∂φ ∂r/∂θ, (∂r/∂θ)² and the noise of ∂r/∂θ (σ²).
-    squares : sums of the products of the weighted noise, of the first two rows.
-    unit : variance of one residual (rad²).
+        Weighted sums of (∂r/∂φ)², ∂r/∂φ ∂r/∂θ, (∂r/∂θ)², the noise of ∂r/∂θ and, in the first
+        two rows and the last two columns, of its weighted square.
+    unit : variance of a residual, in the residuals' own unit.
     """
-    (pp, pt, tt, noise), (_, _, shown, shown_noise), (_, _, quiet, quiet_noise) = sums
+    (pp, pt, tt, noise, doubt2, _), (_, _, shown, shown_noise, _, shown2), quiet = sums
     if pp * _MAX_PHI_SD**2 < unit:
         return (math.inf, 0.0, math.inf), "features clustered, or level with the camera"
-    doubt, doubt_shown = math.sqrt(2.0 * squares[0][0]), math.sqrt(2.0 * squares[1][1])
+    doubt, doubt_shown = math.sqrt(2.0 * doubt2), math.sqrt(2.0 * shown2)
     signal = shown / unit - shown_noise
     alone = unit / pp
     if signal < _BASELINE_SIGNIFICANCE * max(doubt_shown, 1e-12):
         return (alone, 0.0, _UNKNOWN_DIRECTION), IDENTICAL
-    known = max(quiet / unit - quiet_noise, tt / unit - noise - 2.0 * doubt)
+    known = max(quiet[2] / unit - quiet[3], tt / unit - noise - 2.0 * doubt)
     coupling = pt / pp
     direction = 1.0 / max(known - coupling * pt / unit, 1e-12)
     variance = (alone + coupling**2 * direction, -coupling * direction, direction)

@@ -5,7 +5,7 @@ where the arrays are not contiguous. So the features of P problems, N of each, l
 rows of P N, one row a quantity, and what is two by two or three by three is done in plain floats,
 each problem on its own.
 
-A residual of r standard deviations, with x = r/k, costs √(1 + x²) − 1. Its weight in the normal
+A residual x, in units of k standard deviations, costs √(1 + x²) − 1. Its weight in the normal
 equations is w = 1/√(1 + x²), its curvature w³. Beyond a limit the cost stays what it is there.
 """
 
@@ -25,8 +25,8 @@ Mask = NDArray[np.bool_]
 Normal = list[list[float]]
 Delta = tuple[float, ...]
 
-#: Scale of the soft-L1 kernel, k, in standard deviations of the residual.
-_KERNEL_SIGMAS = 1.5
+#: The residuals' unit in their standard deviations, k: the scale of the soft-L1 kernel.
+KERNEL_SIGMAS = 1.5
 #: A step shorter than this many standard deviations of what it corrects is the last one.
 _LAST_STEP = 0.15
 #: Least curvature of the kernel, relative to its weight, that a step counts on.
@@ -41,7 +41,7 @@ _FAR_OFF, _FAR_POINTS = 4.0, 3
 
 
 class Linear(Protocol):
-    """Residuals and their derivatives by k parameters."""
+    """Residuals, in units of ``KERNEL_SIGMAS`` deviations, and derivatives by K parameters."""
 
     @property
     def residual(self) -> Array:
@@ -49,7 +49,7 @@ class Linear(Protocol):
 
     @property
     def jacobian(self) -> Array:
-        """(k, P N)."""
+        """(K, P N)."""
 
 
 LinearT = TypeVar("LinearT", bound=Linear)
@@ -85,7 +85,7 @@ class Descent(ABC, Generic[PointT]):
 
         Parameters
         ----------
-        normal : the k rows of the Hessian, and the gradient g.
+        normal : the K rows of the Hessian, and the gradient g.
         damping : what is added to the Hessian's diagonal, relative to it.
         """
 
@@ -93,7 +93,7 @@ class Descent(ABC, Generic[PointT]):
     def moved(self, point: PointT, delta: Delta, part: float) -> PointT:
         """Return the point after a part of a step."""
 
-    def take(self, cost: float, normal: Normal, sigma: float) -> None:
+    def take(self, cost: float, normal: Normal) -> None:
         """Take in the cost at the point ahead and its normal equations, and go on from the best."""
         if self.done:
             return
@@ -106,12 +106,15 @@ class Descent(ABC, Generic[PointT]):
         delta, gain = self.solve(self._normal, self._damping)
         # Half of −gᵀ δ is what the step should gain. It cannot gain more than there is: where it
         # seems to, the residuals are no noise, and the kernel's curvature is not that of the way.
-        there = 2.0 * (_KERNEL_SIGMAS * sigma) ** 2 * self._cost
-        part = min(1.0, self._longest / max(*map(abs, delta), 1e-12), there / max(gain, 1e-300))
+        part, longest = 1.0, max(max(delta), -min(delta))
+        if longest > self._longest:
+            part = self._longest / longest
+        if gain * part > 2.0 * self._cost:
+            part = 2.0 * self._cost / gain
         self.ahead = self.moved(self._best, delta, part)
         self._left -= 1
         # −gᵀ δ is δᵀ H δ, too: the step's length in variances of what it corrects.
-        self.done = gain < (_LAST_STEP * sigma) ** 2 or self._left <= 0
+        self.done = gain < (_LAST_STEP / KERNEL_SIGMAS) ** 2 or self._left <= 0
 
 
 class Settled(NamedTuple, Generic[LinearT]):
@@ -129,7 +132,6 @@ class Settled(NamedTuple, Generic[LinearT]):
 def settle(
     linearise: Callable[[list[PointT]], LinearT],
     descents: Sequence[Descent[PointT]],
-    sigma: float,
     *,
     limit: float = math.inf,
     usable: Mask | None = None,
@@ -141,22 +143,20 @@ def settle(
     linearise : function
         From P points to their residuals and derivatives.
     descents : P descents
-    sigma : float
-        Standard deviation of a residual.
     limit : float
-        Residuals beyond it do not count; where most show more noise than ``sigma``, so much more.
+        Residuals beyond it do not count; where most show more noise than expected, so much more.
     usable : (P N,) array or None
         Features that count at all; None for all.
     """
     for number in itertools.count():
         linear = linearise([descent.ahead for descent in descents])
         weights, inside, costs, normals = _normal_equations(
-            linear, len(descents), sigma, limit, usable, may_be_far=number < _FAR_POINTS
+            linear, len(descents), limit, usable, may_be_far=number < _FAR_POINTS
         )
         if all(descent.done for descent in descents):
             break
         for descent, cost, normal in zip(descents, costs, normals, strict=True):
-            descent.take(cost, normal, sigma)
+            descent.take(cost, normal)
         if all(descent.done and not descent.refused for descent in descents):
             break
     return Settled(linear, weights, inside)
@@ -165,7 +165,6 @@ def settle(
 def _normal_equations(
     linear: Linear,
     problems: int,
-    sigma: float,
     limit: float,
     usable: Mask | None,
     *,
@@ -173,21 +172,19 @@ def _normal_equations(
 ) -> tuple[Array, Mask | None, list[float], list[Normal]]:
     """Return weights (P N,), who counts, costs, and Hessians with the gradients below."""
     residual, jacobian = linear.residual, linear.jacobian
-    scaled = residual * (1.0 / (_KERNEL_SIGMAS * sigma))
-    square, inside, units = scaled * scaled, usable, None
+    square, inside, units = residual * residual, usable, None
     if limit < math.inf:
-        limit2 = (limit / (_KERNEL_SIGMAS * sigma)) ** 2
-        inside = _within(square, limit2, usable)
+        inside = _within(square, limit * limit, usable)
         if may_be_far and inside is not None:
             units = _units(square, problems, inside, usable)
             if units is not None:
                 square = square / units
-                inside = _within(square, limit2, usable)
+                inside = _within(square, limit * limit, usable)
     root = np.sqrt(square + 1.0)
     weights = 1.0 / root
     if inside is not None:
         weights *= inside
-        root = np.where(inside, root, 1.0 if limit == math.inf else math.sqrt(1.0 + limit2))
+        root = np.where(inside, root, 1.0 if limit == math.inf else math.hypot(1.0, limit))
     if usable is not None:
         root = np.where(usable, root, 1.0)
     features = len(root) // problems
@@ -230,7 +227,7 @@ def _units(square: Array, problems: int, inside: Mask, usable: Mask | None) -> A
     shown = square if usable is None else np.where(usable, square, math.inf)
     ordered = np.sort(shown.reshape(problems, features), axis=1)
     low = ordered[np.arange(problems), (_QUANTILE * counts).astype(np.intp)]
-    units = low * (_KERNEL_SIGMAS / _NORMAL_QUANTILE) ** 2
+    units = low * (KERNEL_SIGMAS / _NORMAL_QUANTILE) ** 2
     far = few & (units > _FAR_OFF)
     return np.repeat(np.where(far, units, 1.0), features) if far.any() else None
 
@@ -260,16 +257,3 @@ def medians(values: Array, problems: int, inside: Mask | None) -> list[list[floa
     middles = inside.reshape(problems, -1).sum(axis=-1) // 2
     found = np.sort(shown, axis=-1)[:, np.arange(problems), middles].tolist()
     return found
-
-
-def side_by_side(blocks: Sequence[Array]) -> Array:
-    """Return a block diagonal matrix (P k, P N) of blocks (k, N).
-
-    A product with (l, P k) transforms each problem's k rows by its own k columns of that, and
-    the results lie side by side.
-    """
-    k, features = blocks[0].shape
-    matrix = np.zeros((k * len(blocks), features * len(blocks)))
-    for p, block in enumerate(blocks):
-        matrix[k * p : k * (p + 1), features * p : features * (p + 1)] = block
-    return matrix
