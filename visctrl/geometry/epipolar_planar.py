@@ -132,16 +132,23 @@ def ransac_planar_epipoles(
     a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
     if len(a) < MINIMUM_FEATURES:
         return _too_few(len(a))
-    m = null_vectors(constraint_rows(a, b)[_samples(len(a), hypotheses, seed)])
     limit = threshold_sigmas * sigma
-    cost = np.minimum(squared_residuals(a, b, m), limit**2).sum(axis=-1)
-    starts = [_lines(_vector(v)) for v in m[np.argpartition(cost, _FINALISTS)[:_FINALISTS]]]
+    starts = likely_lines(a, b, limit, hypotheses, seed, _FINALISTS)
     ends, _ = epipolar_fit.descend(
         PointPairs.of(a, b, len(starts)), starts, sigma, limit=limit, iterations=_FINALIST_STEPS
     )
     squared = squared_residuals(a, b, np.array([_unit_vector(lines) for lines in ends]))
     best = _unit_vector(ends[int(np.argmin(np.minimum(squared, limit**2).sum(axis=-1)))])
     return refine_epipoles(PointPairs.of(a, b), [best], sigma, limit=limit)[0]
+
+
+def likely_lines(
+    a: Array, b: Array, limit: float, hypotheses: int, seed: int, count: int
+) -> list[Lines]:
+    """Return those of random samples' lines that most points (N, 2) lie nearer to than a limit."""
+    m = null_vectors(constraint_rows(a, b)[_samples(len(a), hypotheses, seed)])
+    cost = np.minimum(squared_residuals(a, b, m), limit**2).sum(axis=-1)
+    return [_lines(_vector(v)) for v in m[np.argpartition(cost, count)[:count]]]
 
 
 def refine_planar_epipoles(

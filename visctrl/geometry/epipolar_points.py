@@ -75,6 +75,7 @@ class PointPairs(LevelPairs):
     def __init__(self, a: Array, b: Array) -> None:
         """Take points (right, up)/forward, (P, 2, N) and (P, 2, N) or (2, N)."""
         super().__init__(_rays(a), _rays(b))
+        self._counted_from = np.zeros((self.pairs, 1))
 
     @classmethod
     def of(cls, points_a: ArrayLike, points_b: ArrayLike, lines: int = 1) -> PointPairs:
@@ -90,6 +91,12 @@ class PointPairs(LevelPairs):
         #: Q's trace: the noise of ∂e/∂m along any orthonormal axes in all.
         self.trace = lengths2[0] + lengths2[1]
         self._lengths = np.sqrt(lengths2[0] * lengths2[1])
+
+    def count_from(self, heights: Sequence[float]) -> None:
+        """Count each pair's heights from another row, by its height over the present one."""
+        rows = np.array(heights)[:, None]
+        self._up += self._counted_from - rows
+        self._counted_from = rows
 
     def linearised(self, lines: Sequence[Lines], unit: float = 1.0) -> LinearPoints:
         """Return residuals in units of ``unit`` and derivatives at each pair's (φ, θ, λ)."""

@@ -60,6 +60,7 @@ class Descent(ABC, Generic[PointT]):
     """Levenberg–Marquardt of one problem in plain floats, fed with what a batch evaluates.
 
     ahead : the point to evaluate next; once ``done``, the end.
+    best, cost : the best that was evaluated, and its cost.
     refused : whether the point that was evaluated last was worse than one before.
 
     Parameters
@@ -73,8 +74,8 @@ class Descent(ABC, Generic[PointT]):
         self._longest = longest
         self.ahead = start
         self.done = self.refused = False
-        self._best = start
-        self._cost = math.inf
+        self.best = start
+        self.cost = math.inf
         self._normal: Normal = []
         self._damping = 0.0
         self._left = iterations
@@ -97,11 +98,11 @@ class Descent(ABC, Generic[PointT]):
         """Take in the cost at the point ahead and its normal equations, and go on from the best."""
         if self.done:
             return
-        self.refused = cost > self._cost
+        self.refused = cost > self.cost
         if self.refused:
             self._damping = 10.0 * max(self._damping, 1e-5)
         else:
-            self._best, self._cost, self._normal = self.ahead, cost, normal
+            self.best, self.cost, self._normal = self.ahead, cost, normal
             self._damping *= 0.1
         delta, gain = self.solve(self._normal, self._damping)
         # Half of −gᵀ δ is what the step should gain. It cannot gain more than there is: where it
@@ -109,9 +110,9 @@ class Descent(ABC, Generic[PointT]):
         part, longest = 1.0, max(max(delta), -min(delta))
         if longest > self._longest:
             part = self._longest / longest
-        if gain * part > 2.0 * self._cost:
-            part = 2.0 * self._cost / gain
-        self.ahead = self.moved(self._best, delta, part)
+        if gain * part > 2.0 * self.cost:
+            part = 2.0 * self.cost / gain
+        self.ahead = self.moved(self.best, delta, part)
         self._left -= 1
         # −gᵀ δ is δᵀ H δ, too: the step's length in variances of what it corrects.
         self.done = gain < (_LAST_STEP / KERNEL_SIGMAS) ** 2 or self._left <= 0
