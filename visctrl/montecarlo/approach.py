@@ -13,7 +13,7 @@ from visctrl.montecarlo.bases import Shapers
 from visctrl.montecarlo.eyes import View
 from visctrl.montecarlo.fleet import Fleet, Stage
 from visctrl.montecarlo.planar import search
-from visctrl.montecarlo.planar_fit import Motions, Rays, linearise, refine
+from visctrl.montecarlo.planar_fit import Motions, Rays, refine
 from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
 from visctrl.runtime.plan import Plan, StagePlan
 
@@ -59,7 +59,7 @@ def follow(motions: Motions, views: Rays, turn: Array, options: PlanarMotionOpti
     """
     phi, direction = motions.phi - turn, motions.direction + turn
     limit = 2.0 * options.threshold_sigmas * views.sigma
-    near = np.abs(linearise(views, phi, direction).residual) < limit[:, None]
+    near = np.abs(views.residuals(phi, direction)) < limit[:, None]
     close = views.only(near)
     enough = close.shared.sum(axis=1) >= options.min_inliers * views.shared.sum(axis=1)
     found = refine(close, phi, direction)

@@ -12,7 +12,7 @@ import numpy as np
 
 from visctrl.geometry.planar import MINIMUM_FEATURES, two_point_motions
 from visctrl.geometry.trifocal_solvers import NOISE_MEDIAN, NOISE_MEDIAN_SD, SIGNIFICANCE
-from visctrl.montecarlo.planar_fit import Motions, Rays, linearise, median, refine
+from visctrl.montecarlo.planar_fit import Motions, Rays, median, refine
 from visctrl.montecarlo.robots import Array, Index, Mask
 
 #: Features on which every hypothesis is judged before the promising ones are on all.
@@ -46,8 +46,7 @@ def search(views: Rays, seeds: Sequence[int], threshold_sigmas: float, hypothese
         enough &= agreeing.shared.sum(axis=1) >= MINIMUM_FEATURES
         motions = refine(agreeing, phi, direction)
         phi, direction = motions.phi, motions.direction
-        residual = linearise(views, phi, direction).residual
-        inliers = np.abs(residual) < limit[:, None]
+        inliers = np.abs(views.residuals(phi, direction)) < limit[:, None]
         inliers &= views.plausible(phi, direction, limit)
     return motions._replace(sound=motions.sound & enough)
 

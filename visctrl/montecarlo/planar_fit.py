@@ -1,8 +1,4 @@
-"""Planar motions of many pairs of views, refined: `visctrl.geometry.planar` in arrays.
-
-R pairs of views with N features, some of them not shared. The equations and constants are those
-of the single refinement, which is also what these functions are tested against.
-"""
+"""Planar motions of many pairs of views, refined by `visctrl.geometry.planar`."""
 
 from __future__ import annotations
 
@@ -13,18 +9,13 @@ import numpy as np
 
 from robots.unicycle import wrap_angle
 from visctrl.geometry.parallax import meeting
-from visctrl.geometry.planar import (
-    BASELINE_SIGNIFICANCE,
-    KERNEL_SIGMAS,
-    MAX_DIRECTION_SD,
-    MAX_NOISE,
-    MAX_PHI_SD,
-    NEAR,
-    NEAREST,
-    STILL,
-    USUAL_NOISE,
-)
-from visctrl.montecarlo.robots import Array, Index, Mask, Parts, Robots
+from visctrl.geometry.planar import NEAREST, refine_motions
+from visctrl.geometry.planar_fit import Motion, RayPairs
+from visctrl.montecarlo.robots import Array, Mask, Parts, Robots
+from visctrl.plugins import Health
+
+#: Pairs of views that are refined at once: they fit in a processor's cache.
+_AT_ONCE = 16
 
 
 class Motions(NamedTuple):
@@ -61,6 +52,16 @@ class Rays(Robots):
         kept.shared = np.where(which, self.shared, 0.0)
         return kept
 
+    def pairs(self, which: slice = slice(None)) -> RayPairs:
+        """Return some of the pairs as the refinement takes them."""
+        a, b = (np.stack([part[which] for part in rays], axis=1) for rays in (self.a, self.b))
+        return RayPairs(a, b)
+
+    def residuals(self, phi: Array, direction: Array) -> Array:
+        """Return the Sampson residuals (R, N) in rad of motions (R,)."""
+        linear = self.pairs().linearised(_each(phi, direction))
+        return linear.residual.reshape(self.shared.shape)
+
     def parallax(self, phi: Array, direction: Array) -> Array:
         """Return signed parallaxes (R, N): see `visctrl.geometry.parallax.signed_parallax`."""
         return meeting(_along(self.a, direction), _along(self.b, direction + phi))
@@ -79,134 +80,19 @@ class Rays(Robots):
         return np.asarray((parallax > -limit) & (parallax < np.maximum(NEAREST * usual, limit)))
 
 
-class _Linearised(NamedTuple):
-    """Sampson residuals (R, N) in rad, their derivatives by φ and θ, and the latter's noise."""
-
-    residual: Array
-    by_phi: Array
-    by_theta: Array
-    noise: Array
-
-
-def refine(views: Rays, phi: Array, direction: Array, iterations: int = 15) -> Motions:
-    """Return motions refined from a start: see `visctrl.geometry.planar.refine_planar_motion`."""
-    phi, direction = _descend(views, phi, direction, iterations)
-    linear = linearise(views, phi, direction)
-    scaled = linear.residual / views.sigma[:, None]
-    weights = _soft_l1_weights(scaled) * views.shared
-    spread = np.maximum(1.0, 1.4826 * median(np.abs(scaled), views.shared))
-    covariance, sound = _covariance(linear, weights, (views.sigma * spread) ** 2, views.shared)
-    return Motions(wrap_angle(phi), views.towards_points(phi, direction), covariance, sound)
-
-
-def linearise(views: Rays, phi: Array, direction: Array) -> _Linearised:
-    """Return the residuals of motions (R,) and what they depend on."""
-    (a0, a1, a2), (b0, b1, b2) = views.a, views.b
-    theta, alpha = direction[:, None], (direction + phi)[:, None]
-    st, ct, sa, ca = np.sin(theta), np.cos(theta), np.sin(alpha), np.cos(alpha)
-    A, dA = ct * a0 - st * a1, -st * a0 - ct * a1
-    B, dB = sa * b1 - ca * b0, sa * b0 + ca * b1
-    up = a2 * a2 + b2 * b2
-    inverse2 = 1.0 / np.maximum(up + A * A + B * B, 1e-18)
-    inverse = np.sqrt(inverse2)
-    residual = (b2 * A + a2 * B) * inverse
-    by_theta = (b2 - residual * A * inverse) * dA * inverse
-    by_alpha = (a2 - residual * B * inverse) * dB * inverse
-    noise = (up + dA * dA + dB * dB) * inverse2
-    return _Linearised(residual, by_alpha, by_theta + by_alpha, noise)
-
-
-def _descend(views: Rays, phi: Array, direction: Array, iterations: int) -> tuple[Array, Array]:
-    """Return the (φ, θ) that Levenberg–Marquardt reaches; every robot stops where it would."""
-    found = np.stack([phi, direction], axis=1)
-    index: Index = np.arange(len(phi))
-    here, linear = found, linearise(views, phi, direction)
-    cost = _cost(linear, views)
-    damping, newton = np.full(len(phi), 1e-3), np.zeros(len(phi), dtype=np.bool_)
-    for _ in range(iterations):
-        step = _step(linear, views, damping, newton)
-        longest = np.abs(step).max(axis=1)
-        # A direction without information must not jump round the circle.
-        ahead = here + np.minimum(1.0, 0.5 / np.maximum(longest, 1e-12))[:, None] * step
-        trial = linearise(views, *ahead.T)
-        trial_cost = _cost(trial, views)
-        better = ~(trial_cost > cost)
-        pairs = zip(trial, linear, strict=True)
-        linear = _Linearised(*(np.where(better[:, None], new, old) for new, old in pairs))
-        here = np.where(better[:, None], ahead, here)
-        cost = np.where(better, trial_cost, cost)
-        damping = np.where(better, damping * 0.1, np.maximum(damping, 1e-6) * 10.0)
-        newton = better & (longest < NEAR * views.sigma)
-        found[index] = here
-        on = np.flatnonzero(longest >= STILL * views.sigma)
-        if not len(on):
-            break
-        if len(on) < len(index):
-            index, views, here, cost = index[on], views.take(on), here[on], cost[on]
-            linear = _Linearised(*(each[on] for each in linear))
-            damping, newton = damping[on], newton[on]
-    return found[:, 0], found[:, 1]
-
-
-def _step(linear: _Linearised, views: Rays, damping: Array, newton: Mask) -> Array:
-    """Return the damped steps (R, 2) of (φ, θ): see `visctrl.geometry.planar._step`."""
-    weights = _soft_l1_weights(linear.residual / views.sigma[:, None])
-    curvature = np.where(newton[:, None], weights * np.maximum(weights * weights, 0.5), weights)
-    curvature *= views.shared
-    weighted = weights * views.shared * linear.residual
-    by_phi, by_theta = linear.by_phi, linear.by_theta
-    pp = (curvature * by_phi * by_phi).sum(axis=1) * (1.0 + damping) + 1e-12
-    tt = (curvature * by_theta * by_theta).sum(axis=1) * (1.0 + damping) + 1e-12
-    pt = (curvature * by_phi * by_theta).sum(axis=1)
-    p, t = (weighted * by_phi).sum(axis=1), (weighted * by_theta).sum(axis=1)
-    steps = np.stack([pt * t - tt * p, pt * p - pp * t], axis=1)
-    return np.asarray(steps / (pp * tt - pt * pt)[:, None])
-
-
-def _soft_l1_weights(scaled: Array) -> Array:
-    return np.asarray(1.0 / np.sqrt(1.0 + np.square(scaled * (1.0 / KERNEL_SIGMAS))))
-
-
-def _cost(linear: _Linearised, views: Rays) -> Array:
-    scaled = linear.residual * (1.0 / (KERNEL_SIGMAS * views.sigma))[:, None]
-    return np.asarray(((np.sqrt(1.0 + scaled * scaled) - 1.0) * views.shared).sum(axis=1))
-
-
-def _covariance(
-    linear: _Linearised, weights: Array, variance: Array, shared: Array
-) -> tuple[Array, Mask]:
-    """Return the covariances (R, 2, 2) of (φ, θ), and where they are sound."""
-    J = np.stack([linear.by_phi, linear.by_theta], axis=1)
-    info = (J * weights[:, None]) @ J.swapaxes(1, 2) / variance[:, None, None]
-    significance, direction_info = _direction_information(linear, weights, variance, shared)
-    phi_info = np.maximum(info[:, 0, 0], 1e-300)
-    coupling = info[:, 0, 1] / phi_info
-    v = 1.0 / np.maximum(direction_info - coupling * info[:, 0, 1], 1e-12)
-    covariance = np.empty_like(info)
-    covariance[:, 0, 0] = 1.0 / phi_info + coupling**2 * v
-    covariance[:, 0, 1] = covariance[:, 1, 0] = -coupling * v
-    covariance[:, 1, 1] = v
-    sound = (phi_info * MAX_PHI_SD**2 >= 1.0) & (significance >= BASELINE_SIGNIFICANCE)
-    sound &= (covariance[:, 0, 0] <= MAX_PHI_SD**2) & (v <= MAX_DIRECTION_SD**2)
-    return covariance, sound
-
-
-def _direction_information(
-    linear: _Linearised, weights: Array, variance: Array, shared: Array
-) -> tuple[Array, Array]:
-    """Return how many sigmas the baselines stand out of the noise, and what θ is known by."""
-    noise = linear.noise
-    excess = linear.by_theta**2 / variance[:, None] - noise
-
-    def debiased(w: Array) -> tuple[Array, Array]:
-        signal = (w * excess).sum(axis=1)
-        return signal, np.sqrt(2.0 * np.square(w * noise).sum(axis=1))
-
-    shown, doubt = debiased(weights / (1.0 + noise))
-    loud = np.maximum(MAX_NOISE, USUAL_NOISE * median(noise, shared))[:, None]
-    sure, _ = debiased(np.where(noise < loud, weights, 0.0))
-    everything, doubt_everything = debiased(weights)
-    return shown / np.maximum(doubt, 1e-12), np.maximum(sure, everything - 2.0 * doubt_everything)
+def refine(views: Rays, phi: Array, direction: Array) -> Motions:
+    """Return motions refined from a start, those of too few features at zero."""
+    starts, found = _each(phi, direction), []
+    for first in range(0, len(starts), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        present = views.shared[some] > 0.0
+        found += refine_motions(views.pairs(some), starts[some], views.sigma[some], present=present)
+    return Motions(
+        np.array([motion.phi for motion in found]),
+        np.array([motion.direction for motion in found]),
+        np.array([motion.covariance for motion in found]).reshape(-1, 2, 2),
+        np.array([motion.health is Health.OK for motion in found], dtype=np.bool_),
+    )
 
 
 def median(values: Array, shared: Array) -> Array:
@@ -215,6 +101,10 @@ def median(values: Array, shared: Array) -> Array:
     sizes = np.maximum(shared.sum(axis=1).astype(np.intp), 1)
     robots = np.arange(len(values))
     return np.asarray(0.5 * (ordered[robots, (sizes - 1) // 2] + ordered[robots, sizes // 2]))
+
+
+def _each(phi: Array, direction: Array) -> list[Motion]:
+    return list(zip(phi.tolist(), direction.tolist(), strict=True))
 
 
 def _along(rays: Parts, bearing: Array) -> Array:
