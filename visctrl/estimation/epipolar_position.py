@@ -6,16 +6,18 @@ centimetres along it. How far the features themselves have moved tells the same 
 fixed views give each one's distance, in units of their baseline, and the current view is placed
 among them. At the target the distances do not matter, for the images coincide.
 
-With everything in the current view's axes, a ray (r, f, u), its level part l = √(r² + f²) and
-s, c = r/l, f/l, the tangents across the ray are t₁ = (c, −s, 0) and t₂ = (s u, c u, −l). A
-feature at X and the view at p have the residuals, in rad,
+With everything in the current view's axes and level parts as complex numbers, right + i forward,
+let a ray have the level part l u, |u| = 1, and the up component v. The level way X − p to a feature
+has the part along the ray Re(u* (X − p)) and the part across it −Im(u* (X − p)); with the height
+X_z its residuals sideways and downwards are, in rad and |X − p| being the distance in space,
 
-    tᵢ · (X − p)/|X − p|,
+    r₁ = −Im(u* (X − p))/|X − p|,   r₂ = (v Re(u* (X − p)) − l X_z)/|X − p|.
 
-with the derivatives −tᵢ/|X − p| by p and (l, 0) by a turn of the view. Their variance is that of
-the ray, of the target's ray, and of the distance |X|, whose deviation is ρ |X| σ:
+Their derivatives by p are those of the numerators, and a turn of the view adds l to r₁. Their
+variance is that of the ray, of the target's ray, and of the distance |X|, whose relative deviation
+is ρ σ: with nᵢ what the numerators are at p = 0,
 
-    σ² (1 + (|X|² + (ρ tᵢ · X)²)/|X − p|²).
+    σ² (1 + (|X|² + (ρ nᵢ)²)/|X − p|²).
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 #: Features whose distance is less certain than this part of it are left out.
@@ -57,17 +60,20 @@ class Placed(NamedTuple):
 class _Seen(NamedTuple):
     """Features as the current view sees them, in its own axes.
 
-    level : (N,), l.
-    points : (3, N), X.
-    tangents : (2, 2, N), the level parts of t₁ and t₂, as components.
-    lifted : (N,), the part of t₂ · X that is due to heights.
-    spread : (2, N), |X|² + (ρ tᵢ · X)².
+    level, up : (N,), l and the up component of a ray.
+    towards : (N,), u*.
+    points : (N,), X, the level part.
+    lifted : (N,), l X_z.
+    height2 : (N,), X_z².
+    spread : (2 N,), |X|² + (ρ nᵢ)², sideways first.
     """
 
     level: Array
-    points: Array
-    tangents: Array
+    up: Array
+    towards: Complex
+    points: Complex
     lifted: Array
+    height2: Array
     spread: Array
 
 
@@ -104,8 +110,10 @@ class Structure:
             self._ahead &= present[0] & present[1]
         #: ρ, the relative deviation of the distance in σ.
         self._doubt = np.hypot(here, there) / (np.sqrt(sine2) * np.where(self._ahead, here, 1.0))
-        self._points = here * target
-        self._range2 = here * here
+        level = np.empty(len(here), dtype=np.complex128)
+        np.multiply(here, a0, out=level.real)
+        np.multiply(here, a1, out=level.imag)
+        self._points, self._heights, self._range2 = level, here * a2, here * here
         self._limit = math.nan
         self._select(math.inf)
 
@@ -119,9 +127,9 @@ class Structure:
         good = self._ahead & (self._doubt < limit)
         which = np.flatnonzero(good)
         self._which = None if len(which) == len(good) else which
-        self._chosen = (self._points, self._range2, self._doubt)
-        if self._which is not None:
-            self._chosen = (self._points[:, which], self._range2[which], self._doubt[which])
+        self._chosen = _Chosen(
+            self._points[which], self._heights[which], self._range2[which], self._doubt[which]
+        )
 
     def place(
         self, current: Array, start: tuple[float, float, float], sigma: float
@@ -139,11 +147,12 @@ class Structure:
         """
         if self._limit != _MAX_RANGE_SD / sigma:
             self._select(_MAX_RANGE_SD / sigma)
-        if len(self._chosen[1]) < _LEAST_FEATURES:
+        if len(self._chosen.points) < _LEAST_FEATURES:
             return None
         x, y, phi = start
         s, c = math.sin(phi), math.cos(phi)
-        seen = self._see(current, s, c)
+        rays = current if self._which is None else current.take(self._which, axis=1)
+        seen = self._chosen.seen(rays, complex(c, -s))
         right, forward = c * x + s * y, c * y - s * x
         variance = (0.0, 0.0, 0.0)
         for _ in range(_STEPS):
@@ -167,28 +176,39 @@ class Structure:
             ),
         )
 
-    def _see(self, current: Array, s: float, c: float) -> _Seen:
-        """Return the chosen features in the axes of the current view."""
-        points, range2, doubt = self._chosen
-        rays = current if self._which is None else current.take(self._which, axis=1)
-        turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ points
-        level, up = np.maximum(np.hypot(rays[0], rays[1]), 1e-9), rays[2]
-        along = rays[:2] / level
-        tangents = np.empty((2, 2, len(level)))
-        tangents[0, 0] = along[1]
-        np.negative(along[0], out=tangents[0, 1])
-        np.multiply(along, up, out=tangents[1])
-        lifted = level * turned[2]
-        loose = _across(tangents, turned[:2], lifted) * doubt
-        return _Seen(level, turned, tangents, lifted, loose * loose + range2)
+
+class _Chosen(NamedTuple):
+    """Features that do place a view: X, level and up, |X|² and ρ, in the target's frame."""
+
+    points: Complex
+    heights: Array
+    range2: Array
+    doubt: Array
+
+    def seen(self, rays: Array, turn: complex) -> _Seen:
+        """Return them in the axes of a view with these rays (3, N); ``turn`` takes them there."""
+        right, forward, up = rays
+        towards = np.empty(len(right), dtype=np.complex128)
+        level = np.maximum(np.hypot(right, forward), 1e-9)
+        np.divide(right, level, out=towards.real)
+        np.divide(forward, -level, out=towards.imag)
+        points = self.points * turn
+        lifted = level * self.heights
+        across = _across(towards * points, up, lifted)
+        across *= np.concatenate((self.doubt, self.doubt))
+        spread = across * across
+        spread += np.concatenate((self.range2, self.range2))
+        return _Seen(level, up, towards, points, lifted, self.heights * self.heights, spread)
 
 
-def _across(tangents: Array, way: Array, lifted: Array) -> Array:
-    """Return the products (2, N) of both tangents with level ways (2, N) and heights."""
-    products = tangents * way
-    across = products[:, 0] + products[:, 1]
-    across[1] -= lifted
-    return np.asarray(across)
+def _across(seen: Complex, up: Array, lifted: Array) -> Array:
+    """Return the residuals' numerators (2 N,) of u* times the level ways ``seen``."""
+    count = len(up)
+    across = np.empty(2 * count)
+    np.negative(seen.imag, out=across[:count])
+    np.multiply(seen.real, up, out=across[count:])
+    across[count:] -= lifted
+    return across
 
 
 def _normal_equations(
@@ -197,23 +217,30 @@ def _normal_equations(
     """Return the weighted products (4, 4) of the derivatives by p and turn and of the residuals.
 
     They are in units of (σ κ)², which is returned as well: κ ≥ 1 is how much larger than promised
-    the residuals are.
+    the residuals are. The derivatives have the opposite sign.
     """
-    way = seen.points - np.array([[right], [forward], [0.0]])
-    distance2 = np.einsum("in,in->n", way, way)
-    scale = 1.0 / np.sqrt(seen.spread + distance2)
-    rows = np.zeros((4, *scale.shape))
-    rows[:2] = seen.tangents.swapaxes(0, 1)
-    np.multiply(seen.level, -np.sqrt(distance2), out=rows[2, 0])
-    rows[3] = _across(seen.tangents, way[:2], seen.lifted)
-    rows *= scale
+    way = seen.towards * (seen.points - complex(right, forward))
+    count = len(way)
+    distance2 = way.real * way.real
+    distance2 += way.imag * way.imag
+    distance2 += seen.height2
+    rows = np.empty((4, 2 * count))
+    cosine, sine = np.negative(seen.towards.imag, out=rows[0, :count]), seen.towards.real
+    np.negative(sine, out=rows[1, :count])
+    np.multiply(sine, seen.up, out=rows[0, count:])
+    np.multiply(cosine, seen.up, out=rows[1, count:])
+    np.multiply(seen.level, -np.sqrt(distance2), out=rows[2, :count])
+    rows[2, count:] = 0.0
+    rows[3] = _across(way, seen.up, seen.lifted)
+    scale = np.concatenate((distance2, distance2))
+    scale += seen.spread
+    rows *= 1.0 / np.sqrt(scale)
     residual = rows[3]
-    middle = residual.size // 2
-    usual = float(np.partition(np.abs(residual), middle, axis=None)[middle])
+    usual = float(np.partition(np.abs(residual), count)[count])
     spread = max(sigma, 1.4826 * usual)
     scaled = residual * (1.0 / (_KERNEL_SIGMAS * spread))
-    weighted = (rows / (1.0 + scaled * scaled)).reshape(4, -1)
-    return (weighted @ rows.reshape(4, -1).T).tolist(), spread**2
+    weighted = rows / (1.0 + scaled * scaled)
+    return weighted.dot(rows.T).tolist(), spread**2
 
 
 def _solve(

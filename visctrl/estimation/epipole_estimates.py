@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,7 @@ from visctrl.plugins import Estimate, Health
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class EpipolePair:
+class EpipolePair(NamedTuple):
     """The two epipoles of a pair of views (a, b), as bearings (rad, clockwise from forward).
 
     bearing_a : of b's centre, seen in view a; bearing_b : of a's centre, seen in view b.
@@ -79,8 +79,7 @@ class EpipolePair:
         return self.health is not Health.LOST and max(self.sd_a, self.sd_b) <= sd_limit
 
 
-@dataclass(frozen=True)
-class Location:
+class Location(NamedTuple):
     """Planar pose of the current view in the target's frame, in units of a baseline.
 
     x, y : position (right, forward) in units of the distance from the reference view (the

@@ -98,6 +98,11 @@ class PairSolver(Protocol):
 class Calibrated:
     """Planar motion of a calibrated central camera, on unit rays."""
 
+    def __init__(self) -> None:
+        #: The pairs that are followed, and the fixed views that they were made of.
+        self._pairs: RayPairs | None = None
+        self._fixed: Array | None = None
+
     def search(self, a: Array, b: Array, sigma: float, hypotheses: int, seed: int) -> PlanarMotion:
         """Return the motion that most of the rays agree with (see the protocol)."""
         motion = ransac_planar_motion(a, b, sigma, seed=seed, hypotheses=hypotheses)
@@ -116,9 +121,16 @@ class Calibrated:
     ) -> list[PlanarMotion]:
         """Return the motions near the last ones (see the protocol)."""
         starts = [(motion.phi + turn, motion.direction) for motion in last]
-        fixed, current = rays
-        pairs = RayPairs(fixed, current)
+        pairs = self._seen(*rays)
         return refine_motions(pairs, starts, sigma, limit_sigmas=_RAY_SIGMAS, present=present)
+
+    def _seen(self, fixed: Array, current: Array) -> RayPairs:
+        """Return the pairs of fixed views and the current one; what is fixed is kept."""
+        if self._pairs is None or self._fixed is not fixed:
+            self._pairs, self._fixed = RayPairs(fixed, current), fixed
+        else:
+            self._pairs.look(current)
+        return self._pairs
 
     def unmoved(self) -> PlanarMotion:
         """Return no motion at all (see the protocol)."""
@@ -142,13 +154,16 @@ class Uncalibrated:
 
     def __init__(self) -> None:
         self.horizon = 0.0
+        #: The pairs that are followed, and the fixed views that they were made of.
+        self._pairs: PointPairs | None = None
+        self._fixed: Array | None = None
 
     def level(self, a: Array, b: Array, sigma: float, widest: float, seed: int) -> None:
         """Find the horizon from rays (N, 3) of two views, at most ``widest`` off.
 
         An uncertain one stays near the assumed row, half of ``widest`` being its deviation.
         """
-        self.horizon = 0.0
+        self.horizon, self._fixed = 0.0, None
         if len(a) >= MINIMUM_FEATURES and widest > 0.0:
             found = find_horizon(self._points(a.T).T, self._points(b.T).T, sigma, widest, seed=seed)
             prior = (widest / 2.0) ** 2
@@ -169,10 +184,17 @@ class Uncalibrated:
     ) -> list[PlanarMotion]:
         """Return the motions near the last ones (see the protocol)."""
         starts = [turned(_epipoles(motion).vector, 0.0, turn) for motion in last]
-        fixed, current = (self._points(view) for view in rays)
-        pairs = PointPairs(fixed, current)
-        limit = _POINT_SIGMAS * sigma
+        pairs, limit = self._seen(*rays), _POINT_SIGMAS * sigma
         return list(refine_epipoles(pairs, starts, sigma, limit=limit, present=present))
+
+    def _seen(self, fixed: Array, current: Array) -> PointPairs:
+        """Return the pairs of fixed views and the current one; what is fixed is kept."""
+        if self._pairs is None or self._fixed is not fixed:
+            self._pairs = PointPairs(self._points(fixed), self._points(current))
+            self._fixed = fixed
+        else:
+            self._pairs.see(self._points(current))
+        return self._pairs
 
     def unmoved(self) -> PlanarMotion:
         """Return no motion at all (see the protocol)."""

@@ -224,7 +224,7 @@ def _judged(
     clear = values - scale * share[:, :, 0]
     determined = clear > (_SIGNIFICANCE * math.sqrt(2.0)) * scale * doubt
     # Of an undetermined direction of the unit vector m nothing is known.
-    variances = np.where(determined, scale / np.maximum(clear, 1e-300), 1.0).tolist()
+    variances = np.where(determined, scale / np.where(determined, clear, 1.0), 1.0).tolist()
     moved = [True] * len(ends)
     if not determined[:, 0].all():
         (parallax,) = medians(np.abs(pairs.parallax(ends))[None], pairs.pairs, some(inliers))

@@ -92,6 +92,10 @@ class PointPairs(LevelPairs):
         self.trace = lengths2[0] + lengths2[1]
         self._lengths = np.sqrt(lengths2[0] * lengths2[1])
 
+    def see(self, b: Array) -> None:
+        """Put other points, (P, 2, N) or (2, N), in the place of view B's."""
+        self.look(_rays(b))
+
     def count_from(self, heights: Sequence[float]) -> None:
         """Count each pair's heights from another row, by its height over the present one."""
         rows = np.array(heights)[:, None]
