@@ -8,10 +8,10 @@ It sees frames, the calibration and what was sent to the base; never the truth.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +65,10 @@ class Views:
     ids : (N,) names of the features, stable over time.
     sigma : standard deviation of one bearing (rad), the same for all.
     stamp : exposure time of the current frame (s).
-    sigmas : (3, N) standard deviations of each bearing in the target, initial and current view
-        (rad), where they are known one by one: rays near the rim of an image are sharper, and a
-        target averaged over several frames is better than one frame. None: ``sigma`` for all.
+    sigmas : returns the standard deviations (3, N) of each bearing in the target, initial and
+        current view (rad), where they are known one by one: rays near the rim of an image are
+        sharper, and a target averaged over several frames is better than one frame. Few
+        estimators ask. None: ``sigma`` for all.
     """
 
     ids: NDArray[np.int64]
@@ -79,7 +80,7 @@ class Views:
     stamp: float
     health: Health = Health.OK
     reason: str = ""
-    sigmas: Array | None = None
+    sigmas: Callable[[], Array] | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -87,7 +88,7 @@ class Views:
     def bearing_sigmas(self) -> Array:
         """Return the standard deviations (3, N) of the bearings: target, initial, current."""
         if self.sigmas is not None:
-            return self.sigmas
+            return self.sigmas()
         return np.full((3, len(self)), self.sigma)
 
 
@@ -121,8 +122,7 @@ class Estimate:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """What a controller wants.
 
     phase : name of the part of its task that it is in.
