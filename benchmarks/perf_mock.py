@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import statistics
 import time
-from typing import Any
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -13,10 +15,19 @@ from two_cores import machine_ratio
 
 from visctrl.config import load_scenario, parse_setting
 from visctrl.experiments.jobs import Job, run_jobs
+from visctrl.experiments.study_log import StudyLog
+from visctrl.experiments.study_runs import run_study, table_rows
+from visctrl.experiments.study_table import Row, write_table
+from visctrl.experiments.trials import load_study
+from visctrl.experiments.workers import Results
 from visctrl.montecarlo.drive import Ending, drive_many
+from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 ROUNDS = 7
 #: Runs of a small study, and how often it is made in two processes and in one.
@@ -117,4 +128,36 @@ def test_monte_carlo(benchmark: Any, runs: int) -> None:
     benchmark.extra_info["notes"] = {
         "x real time": f"{simulated / benchmark.stats.stats.median:.0f}",
         "run alone": f"{sum(ending.alone for ending in endings)} of {runs}",
+    }
+
+
+class _Here:
+    """Works in this process, whose time is what is measured."""
+
+    count = 1
+
+    def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
+        for item in items:
+            yield item, work(item)
+
+
+@pytest.mark.parametrize("name", ["far-starts", "noise"])
+def test_study(benchmark: Any, name: str, tmp_path: Path) -> None:
+    """A shipped study of trifocal runs with one worker: checks, runs, log and table."""
+    rows: list[Row] = []
+
+    def run() -> None:
+        study = load_study(name)
+        study.check()
+        folder = tmp_path / str(time.perf_counter_ns())
+        with StudyLog(folder) as log, Interrupts() as interrupts:
+            run_study(study, log, _Here(), interrupts)
+            rows[:] = table_rows(study, log, {})
+            write_table(rows, folder)
+
+    paired(benchmark, run, additions, rounds=1, against=f"{ADDITIONS} array additions")
+    simulated = sum(row["time_s"] for row in rows)
+    benchmark.extra_info["notes"] = {
+        "runs": str(len(rows)),
+        "x real time": f"{simulated / benchmark.stats.stats.median:.0f}",
     }

@@ -249,7 +249,7 @@ class CentralCamera(Document):
         factor = (np.sqrt(root) + xi) / square
         ray *= factor
         ray -= xi * axis
-        low, high = self._field
+        low, high = self.field
         valid = np.logical_and.reduce(found[3:] >= 0.0) & (factor >= low + xi)
         if high < 1.0:
             valid &= factor <= high + xi
@@ -270,7 +270,7 @@ class CentralCamera(Document):
                 [0.0, 0.0, 1.0, self.xi],
             ]
         )
-        low, high = self._field
+        low, high = self.field
         field = np.array([[0.0, 0.0, -1.0, high], [0.0, 0.0, 1.0, -low]])
         return np.concatenate([image, self._edges.dot(image), field])
 
@@ -297,7 +297,7 @@ class CentralCamera(Document):
         return np.array([[1.0, 0.0, 0.5], [-1.0, 0.0, right], [0.0, 1.0, 0.5], [0.0, -1.0, bottom]])
 
     @cached_property
-    def _field(self) -> tuple[float, float]:
+    def field(self) -> tuple[float, float]:
         """Least and greatest optical-axis component of a unit ray in the field of view."""
         low = math.cos(math.radians(self.max_polar_deg))
         high = math.cos(math.radians(self.min_polar_deg))

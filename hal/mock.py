@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from enum import IntEnum
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -31,6 +32,16 @@ _STEP_S, _INSTANT_S = 0.01, 1e-12
 _EXACT = ActuationOptions(quantise=False)
 
 Metres = Annotated[float, Field(gt=0.0)]
+
+
+class Purpose(IntEnum):
+    """What the mock draws random numbers for, each from a generator of its own."""
+
+    SCENE, NOISE, TEACHING, DROPS, SCATTER = range(5)
+
+    def generator(self, seed: int) -> np.random.Generator:
+        """Return the generator of a run with this seed."""
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(self.value,)))
 
 
 class Scatter(Document):
@@ -128,15 +139,13 @@ class MockBackend(Backend):
             Start and target see too little in common.
         """
         options = self._options
-        seeds = np.random.SeedSequence(self._seed).spawn(5)
-        scene_seed, noise_seed, teach_seed, drop_seed, scatter_seed = seeds
         points = scatter(
             options.features,
             (options.near_m, options.far_m),
             self._true_camera,
             self._mount,
             self._start,
-            np.random.default_rng(scene_seed),
+            Purpose.SCENE.generator(self._seed),
         )
         actuation = _EXACT if options.ideal else options.actuation
         motion = _Motion(
@@ -144,18 +153,18 @@ class MockBackend(Backend):
             self._mount.forward_m,
             self._limits,
             actuation,
-            _scattering(options.scatter, np.random.default_rng(scatter_seed)),
+            _scattering(options.scatter, Purpose.SCATTER.generator(self._seed)),
         )
         clock = WorldClock(motion.advance, WallClock() if self._realtime else None)
-        drops = FaultyCapture(options.faults, np.random.default_rng(drop_seed))
+        drops = FaultyCapture(options.faults, Purpose.DROPS.generator(self._seed))
         projector = _Projector(points, self._true_camera, options.noise_px)
         self._motion, self.clock = motion, clock
         self.camera = MockCamera(
-            self._belief, projector, motion, clock, drops, np.random.default_rng(noise_seed)
+            self._belief, projector, motion, clock, drops, Purpose.NOISE.generator(self._seed)
         )
         self.base = MockBase(motion, clock, options.faults)
         self._projector = projector
-        self._teach_rng = np.random.default_rng(teach_seed)
+        self._teach_rng = Purpose.TEACHING.generator(self._seed)
 
     def close(self) -> None:
         """Stop the robot; its base takes no more commands."""
@@ -171,18 +180,6 @@ class MockBackend(Backend):
             Frame(self.clock.now(), k, features=self._projector.image(origin, self._teach_rng))
             for k in range(count)
         ]
-
-    @property
-    def scene(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-        """The points (N, 3) of the scene in the target's frame (m)."""
-        return self._projector.points
-
-    def noise(self, count: int) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
-        """Draw the noise (count, N, 2) of the next images (px), which then will not have it.
-
-        For whoever makes these images instead: see `visctrl.montecarlo`.
-        """
-        return self.camera.noise(count, len(self.scene))
 
     def truth(self) -> Pose | None:
         """Return the camera's true pose in the target's frame; None when closed."""
@@ -226,12 +223,6 @@ class MockCamera(Camera):
             self._newest = self._capture.deliver(now, lambda: self._expose(now))
             self._read_at = now
         return self._newest
-
-    def noise(
-        self, count: int, features: int
-    ) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
-        """Draw the noise (count, features, 2) of the next images (px)."""
-        return self._rng.normal(scale=self._projector.noise, size=(count, features, 2))
 
     def _expose(self, now: float) -> Frame:
         self._sequence += 1

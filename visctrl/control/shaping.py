@@ -9,8 +9,8 @@ from hal.types import STANDSTILL, Velocity
 from robots import Limits
 
 #: What an ARCOS base takes: whole mm/s and whole deg/s.
-_V_STEP = 1e-3
-_OMEGA_STEP = math.radians(1.0)
+V_STEP = 1e-3
+OMEGA_STEP = math.radians(1.0)
 
 
 class CommandShaper:
@@ -63,7 +63,7 @@ class CommandShaper:
 
     def _rounded(self, wanted: Velocity) -> Velocity:
         rounded = []
-        for k, step in enumerate((_V_STEP, _OMEGA_STEP)):
+        for k, step in enumerate((V_STEP, OMEGA_STEP)):
             due = wanted[k] / step + self._carry[k]
             whole = math.floor(due + 0.5)
             self._carry[k] = due - whole

@@ -42,7 +42,7 @@ DOUBTFUL = 0.6
 DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
-CONTRADICTION, _RECONSIDER = 2.5, 10
+CONTRADICTION, RECONSIDER = 2.5, 10
 #: Bearings agree with those of the target within so many times what noise explains.
 _SAME_WITHIN = 2.0
 #: Mean length of the bearings' unit vectors beyond which they say too little (±17° and less).
@@ -60,7 +60,7 @@ class ConstrainedFit(TensorMethod):
     def __init__(self, options: TensorOptions, context: Context) -> None:
         super().__init__(options, context)
         self._initial: InitialViewFilter | None = None
-        self._bearings = InitialFromBearings(options, context)
+        self._bearings = InitialFromBearings(options, context.seed)
         self._reckoning = DeadReckoning(context.limits, context.camera_forward_m)
         self._scale = PathScale()
         # Position and heading in the initial view's frame: as driven, and as last seen.
@@ -217,7 +217,7 @@ class ConstrainedFit(TensorMethod):
         """
         assert self._initial is not None
         self._doubts += 1
-        if self._doubts % _RECONSIDER != 1:
+        if self._doubts % RECONSIDER != 1:
             return fit, agreeing
         prior = self._initial.prior
         other = self._bearings.find(views, self._driven, self._turned, prior)

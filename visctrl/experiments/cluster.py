@@ -75,6 +75,11 @@ class ClusterWorkers:
             self.close()
             raise
 
+    @property
+    def count(self) -> int:
+        """How many workers there are now."""
+        return max(len(self._client.scheduler_info()["workers"]), 1)
+
     def close(self) -> None:
         """Let go of the scheduler; what is queued for this client is dropped."""
         self._client.close(timeout=CONNECT_S)

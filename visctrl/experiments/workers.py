@@ -63,6 +63,11 @@ Results = Generator[tuple[T, R | Died], None, None]
 class Workers(Protocol):
     """Somewhere to work."""
 
+    @property
+    def count(self) -> int:
+        """How many items are worked on at a time."""
+        ...
+
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
         """Yield every item with its result, in the order in which they are done.
 
@@ -85,6 +90,11 @@ class LocalWorkers:
 
     def __init__(self, count: int) -> None:
         self._count = count
+
+    @property
+    def count(self) -> int:
+        """How many processes there are at a time."""
+        return self._count
 
     def each(self, work: Callable[[T], R], items: Iterable[T]) -> Results[T, R]:
         """Yield every item with its result (see `Workers`)."""

@@ -12,9 +12,7 @@ Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
 #: Eigenvalues smaller than this share of the larger one count as zero.
-_RANK = 1e-14
-#: Share of its bound that the determinant of a 4×4 matrix must have for cofactors to be exact.
-_SOUND = 1e-4
+RANK = 1e-14
 #: Share of its bound that the determinant of a 4×4 matrix must have for cofactors to be exact.
 _SOUND = 1e-4
 
@@ -72,7 +70,7 @@ class Symmetric2(NamedTuple):
     def pseudo_inverse(self) -> Symmetric2:
         """Return the Moore–Penrose inverse."""
         small, large = self.eigenvalues
-        if small > _RANK * large:
+        if small > RANK * large:
             return self.inverse()
         return self.times(1.0 / large**2) if large > 0.0 else self
 
