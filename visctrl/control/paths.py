@@ -14,15 +14,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robots import Limits
-from robots.unicycle import wrap_angle
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Farther from the path's direction than this (rad), the robot turns on the spot first.
+TURN_FROM, TURN_TO = math.radians(100.0), math.radians(20.0)
 
 #: Samples of a path, and of its timing.
 _SAMPLES = 400
@@ -63,8 +67,13 @@ class ParabolicPath:
     def points(self, count: int = _SAMPLES) -> Array:
         """Return points (count, 2) of the path, dense towards its ends as its timing is."""
         way = (1.0 + np.cos(np.linspace(0.0, np.pi, count))) / 2.0
-        ys = self.goal[1] + (self.start[1] - self.goal[1]) * way
-        return np.array([(self._lateral(y)[0], y) for y in ys.tolist()])
+        return self.at_heights(self.goal[1] + (self.start[1] - self.goal[1]) * way)
+
+    def at_heights(self, y: Array) -> Array:
+        """Return the points (K, 2) of the path at some heights (K,)."""
+        apex, span = map(np.asarray, self._bend)
+        lateral = self.start[0] - self.goal[0]
+        return np.stack([self.goal[0] + lateral * bend(y, apex, span) ** 2, y], axis=-1)
 
     @property
     def length(self) -> float:
@@ -79,21 +88,41 @@ class ParabolicPath:
 
     def _lateral(self, y: float) -> tuple[float, float]:
         """Return x and dx/dy at a height."""
+        apex, span = self._bend
+        lateral = self.start[0] - self.goal[0]
+        ratio = bend(y, apex, span)
+        return self.goal[0] + lateral * ratio**2, 2.0 * lateral * ratio / span
+
+    @cached_property
+    def _bend(self) -> tuple[float, float]:
+        """Height of the apex, and the start's above it (m)."""
         up = math.copysign(1.0, self.goal[1] - self.start[1])
         apex = self.goal[1] - up * self.straight
-        span = self.start[1] - apex
-        if (y - apex) * up >= 0.0 or span == 0.0:
-            return self.goal[0], 0.0
-        lateral = self.start[0] - self.goal[0]
-        ratio = (y - apex) / span
-        return self.goal[0] + lateral * ratio**2, 2.0 * lateral * ratio / span
+        return apex, (self.start[1] - apex) or -up * 1e-9
+
+
+Height = TypeVar("Height", float, Array)
+
+
+def bend(y: Height, apex: Height, span: Height) -> Height:
+    """Return how far along the bent part of a path a height is: 1 at its start, 0 from the apex on.
+
+    y, apex, span : heights (m), all floats or all arrays; ``span`` is the start's above the apex.
+    """
+    ratio = (y - apex) / span
+    return ratio * (ratio > 0.0)
 
 
 def path_between(
     start: tuple[float, float], goal: tuple[float, float], straight: float
 ) -> ParabolicPath:
     """Return the path to a goal with a straight end of ``straight`` m, less on a short way."""
-    return ParabolicPath(start, goal, min(straight, 0.4 * abs(goal[1] - start[1])))
+    return ParabolicPath(start, goal, float(straight_end(straight, goal[1] - start[1])))
+
+
+def straight_end(straight: float, ahead: ArrayLike) -> Array:
+    """Return the straight ends (m) of paths that lead so far ahead (m)."""
+    return np.minimum(straight, 0.4 * np.abs(ahead))
 
 
 class Demand(NamedTuple):
@@ -142,7 +171,7 @@ def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
     error = np.empty(len(length))
     phi = heading
     for k, (ahead, way) in enumerate(zip(direction.tolist(), length.tolist(), strict=True)):
-        before = float(wrap_angle(ahead - phi))
+        before = math.remainder(ahead - phi, math.tau)
         after = 2.0 * math.atan(math.tan(before / 2.0) * math.exp(-way / lever))
         error[k] = 0.5 * (before + after)
         phi = ahead - after
@@ -155,10 +184,10 @@ def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
     )
 
 
-def reachable(start: tuple[float, float], goal: tuple[float, float]) -> bool:
-    """Return whether a parabola leads from a point to a goal without a violent start."""
-    ahead = goal[1] - start[1]
-    return ahead > 0.0 and ahead >= 0.5 * abs(start[0] - goal[0])
+def reachable(start: ArrayLike, goal: ArrayLike) -> Mask:
+    """Return whether parabolas lead from points (..., 2) to goals without a violent start."""
+    way = np.asarray(goal, dtype=np.float64) - np.asarray(start, dtype=np.float64)
+    return (way[..., 1] > 0.0) & (way[..., 1] >= 0.5 * np.abs(way[..., 0]))
 
 
 def detour(start: tuple[float, float], goal: tuple[float, float]) -> tuple[float, float]:

@@ -7,6 +7,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,6 +22,8 @@ from visctrl.plugins import (
     Estimate,
     Estimator,
     Health,
+    Obstacle,
+    ObstacleProvider,
     Perception,
     Plugin,
     Views,
@@ -55,6 +58,7 @@ class Stage:
     """A part of a run with its own estimator and controller.
 
     duration : longest time it may take (s).
+    obstacles : obstacle providers by name.
     """
 
     name: str
@@ -63,6 +67,7 @@ class Stage:
     estimator_name: str
     controller_name: str
     duration: float
+    obstacles: Mapping[str, ObstacleProvider[Any, Any]] = field(default_factory=dict)
 
 
 @dataclass
@@ -273,12 +278,21 @@ class Loop:
             turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
             turn.decision = Decision(STANDSTILL, turn.decision.phase)
             return
-        if stage.controller.listens:
-            stage.controller.sense(self._backend.base.ranges())
+        if stage.obstacles:
+            stage.controller.sense(self._obstacles(stage, estimate, now))
         turn.decision = self._call(
             f"controller '{stage.controller_name}'",
             lambda: stage.controller.update(estimate, turn.control_time),
         )
+
+    def _obstacles(self, stage: Stage, estimate: Estimate, now: float) -> list[Obstacle]:
+        """Ask the obstacle providers."""
+        found: list[Obstacle] = []
+        for name, provider in stage.obstacles.items():
+            ranges = self._backend.base.ranges() if provider.listens else ()
+            work = partial(provider.update, estimate, ranges, now)
+            found += self._call(f"obstacle provider '{name}'", work)
+        return found
 
     def _command(self, frame: Frame, turn: _Turn) -> None:
         now = self._backend.clock.now()
@@ -312,6 +326,7 @@ class Loop:
             (self._perception_name, self._perception),
             (turn.stage.estimator_name, turn.stage.estimator),
             (turn.stage.controller_name, turn.stage.controller),
+            *turn.stage.obstacles.items(),
         )
         found = [(name, dict(plugin.values())) for name, plugin in plugins if plugin.signals]
         reported = dict(found).get(turn.stage.estimator_name, {})

@@ -108,6 +108,7 @@ def plan_replay(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> 
         period_s=1.0 / scenario.rate_hz,
         seed=scenario.seed,
         lockstep=True,
+        body=robot.body,
     )
     kinds = registries.estimators
     main = choose(loaded, kinds, scenario.estimator, scheme.estimator, ("estimator",))
