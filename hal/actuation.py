@@ -38,6 +38,8 @@ class ActuationOptions(Document):
 
     def executed(self, set_point: Velocity) -> Velocity:
         """Return what is left of a set-point after slip."""
+        if self.slip_v == 0.0 and self.slip_omega == 0.0:
+            return set_point
         return Velocity(
             (1.0 - self.slip_v) * set_point.v, (1.0 - self.slip_omega) * set_point.omega
         )
@@ -56,6 +58,9 @@ class Actuation:
 
     def __init__(self, limits: Limits | None, options: ActuationOptions) -> None:
         self._limits = limits
+        self._acceleration = (
+            (limits.acceleration_m_s2, limits.angular_acceleration_rad_s2) if limits else None
+        )
         self._options = options
         self._pending: deque[tuple[float, Velocity]] = deque()
         self._wanted = STANDSTILL
@@ -89,14 +94,13 @@ class Actuation:
         """
         while self._pending and self._pending[0][0] <= t + _SAME_INSTANT_S:
             self._wanted = self._pending.popleft()[1]
-        if self._limits is None:
-            self._set_point = self._wanted
+        wanted, now = self._wanted, self._set_point
+        if self._acceleration is None or now == wanted:
+            self._set_point = wanted
         else:
-            dv = self._limits.acceleration_m_s2 * dt
-            dw = self._limits.angular_acceleration_rad_s2 * dt
+            dv, dw = self._acceleration
             self._set_point = Velocity(
-                _towards(self._set_point.v, self._wanted.v, dv),
-                _towards(self._set_point.omega, self._wanted.omega, dw),
+                towards(now.v, wanted.v, dv * dt), towards(now.omega, wanted.omega, dw * dt)
             )
         return self._set_point
 
@@ -136,6 +140,6 @@ def _whole(value: float, bound: float) -> int:
     return int(math.copysign(nearest, value))
 
 
-def _towards(value: float, goal: float, step: float) -> float:
+def towards(value: float, goal: float, step: float) -> float:
     """Return ``value`` moved to ``goal`` by at most ``step``."""
     return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)

@@ -91,16 +91,7 @@ class CentralCamera(Document):
         valid : (...) bool array
             The ray is in the field of view and falls into the image.
         """
-        rays = np.asarray(rays, dtype=np.float64)
-        x, y, z = rays[..., 0], rays[..., 1], rays[..., 2]
-        norm = np.sqrt(x * x + y * y + z * z)
-        seen = self._in_field(z / norm)
-        depth = z + self.xi * norm
-        scale = 1.0 / (depth if seen.all() else np.where(seen, depth, np.nan))
-        pixels = np.empty((*scale.shape, 2))
-        pixels[..., 0] = self._columns(x * scale, y * scale)
-        pixels[..., 1] = y * (self.fy * scale) + self.cy
-        return pixels, seen & self.contains(pixels)
+        return self._image(np.asarray(rays, dtype=np.float64), self._intrinsics)
 
     def unproject(self, pixels: ArrayLike) -> tuple[Array, Mask]:
         """Return the unit rays (..., 3) in camera axes of pixels (..., 2), and their validity.
@@ -121,8 +112,8 @@ class CentralCamera(Document):
         rays = np.empty((*x.shape, 3))
         rays[..., 0] = factor * x
         rays[..., 1] = factor * y
-        rays[..., 2] = factor - self.xi
-        return rays, self._in_field(rays[..., 2]) & self.contains(pixels)
+        z = rays[..., 2] = factor - self.xi
+        return rays, self._in_field(z) & self.contains(pixels)
 
     def jacobian(self, rays: ArrayLike) -> Array:
         """Return ∂pixel/∂ray (..., 2, 3) at the unit vectors along ``rays`` (..., 3).
@@ -163,7 +154,7 @@ class CentralCamera(Document):
 
     def robot_pixels(self, rays: ArrayLike) -> tuple[Array, Mask]:
         """Return pixels (..., 2) of robot rays (..., 3), and their validity (see `project`)."""
-        return self.project(np.asarray(rays, dtype=np.float64) @ self.rotation)
+        return self._image(np.asarray(rays, dtype=np.float64), self._robot_intrinsics)
 
     def bearing_per_pixel(self, rays: ArrayLike) -> Array:
         """Return how far (rad) one pixel's noise turns the bearings of robot rays (..., 3).
@@ -172,26 +163,39 @@ class CentralCamera(Document):
         deviation of either image coordinate. Infinite straight up and down.
         """
         rays = np.asarray(rays, dtype=np.float64)
-        level = np.hypot(rays[..., 0], rays[..., 1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if self._upright:
-                # About an upright axis the bearing is the angle about the image's centre.
-                radius = self.fx * level / (rays[..., 2] * self.rotation[2, 2] + self.xi)
-                return np.asarray(1.0 / np.abs(radius), dtype=np.float64)
-            s, c = rays[..., 0] / level, rays[..., 1] / level
-            sideways = np.stack([c, -s, np.zeros_like(s)], axis=-1) * level[..., None]
-            upwards = np.stack([-s * rays[..., 2], -c * rays[..., 2], level], axis=-1)
-            J = self.jacobian(rays @ self.rotation) @ self.rotation.T
-            a = (J @ sideways[..., None])[..., 0]
-            b = (J @ upwards[..., None])[..., 0]
-            det = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-            return np.asarray(np.hypot(b[..., 0], b[..., 1]) / np.abs(det), dtype=np.float64)
+        if self._upright is not None:
+            # About an upright axis the bearing is the angle about the image's centre.
+            depth = rays[..., 2] * self._upright + self.xi
+            level = np.hypot(rays[..., 0], rays[..., 1])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                return np.asarray(np.abs(depth / (self.fx * level)), dtype=np.float64)
+        ray = rays @ self.rotation
+        up = self.rotation[2].tolist()
+        x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
+        # The ray turns by one radian of bearing along ray × up; up, less its part along the ray,
+        # leaves the bearing alone. A pixel's noise in any direction counts by its part across
+        # the latter's image.
+        sideways = (y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
+        height = x * up[0] + y * up[1] + z * up[2]
+        upwards = (up[0] - height * x, up[1] - height * y, up[2] - height * z)
+        depth = z + self.xi
+        a, b = ((dx * depth - x * dz, dy * depth - y * dz) for dx, dy, dz in (sideways, upwards))
+        across = np.abs((self.fx * self.fy) * (a[0] * b[1] - a[1] * b[0]))
+        length = np.hypot(self.fx * b[0] + self.skew * b[1], self.fy * b[1])
+        turn = np.full(across.shape, np.inf)
+        np.divide(length * depth * depth, across, out=turn, where=across > 0.0)
+        return turn
 
     @cached_property
-    def _upright(self) -> bool:
-        """Whether the optical axis is exactly vertical and the pixels are square."""
+    def _upright(self) -> float | None:
+        """Which way the optical axis points if it is exactly vertical and pixels are square.
+
+        1 is up, −1 down, None is any other camera.
+        """
         square = abs(self.fx) == abs(self.fy) and self.skew == 0.0
-        return self.panoramic and square and self.pitch_deg == 0.0 and self.roll_deg == 0.0
+        if self.panoramic and square and self.pitch_deg == 0.0 and self.roll_deg == 0.0:
+            return float(self.rotation[2, 2])
+        return None
 
     @property
     def panoramic(self) -> bool:
@@ -226,18 +230,35 @@ class CentralCamera(Document):
         """Return a copy with some fields changed and everything checked again."""
         return CentralCamera.model_validate({**self.model_dump(), **changes})
 
-    def _columns(self, x: Array, y: Array) -> Array:
-        """Return the u coordinates of points on the normalised plane."""
-        u = self.fx * x + self.cx
-        return u + self.skew * y if self.skew != 0.0 else u
+    def _image(self, rays: Array, intrinsics: Array) -> tuple[Array, Mask]:
+        """Return what `project` returns, with ``intrinsics`` (3, 3) for the rays' axes."""
+        square = rays * rays
+        norm = np.sqrt(square[..., 0] + square[..., 1] + square[..., 2])
+        image = rays @ intrinsics
+        z = image[..., 2]
+        seen = self._in_field(z / norm)
+        depth = np.where(seen, z + self.xi * norm, np.nan)
+        pixels = image[..., :2] / depth[..., None] + self._centre
+        return pixels, seen & self.contains(pixels)
+
+    @cached_property
+    def _intrinsics(self) -> Array:
+        """(3, 3): a ray in camera axes times it is (u, v, 1) z but for the image's centre."""
+        return np.array([[self.fx, 0.0, 0.0], [self.skew, self.fy, 0.0], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def _robot_intrinsics(self) -> Array:
+        """(3, 3): the same for robot rays."""
+        return self.rotation @ self._intrinsics
 
     def _in_field(self, z: Array) -> Mask:
         """Return whether unit rays with optical-axis component ``z`` are in the field of view."""
-        low, high = self._field
-        return np.asarray((z >= low) & (z <= high))
+        low, high = self.field
+        # A field of view that is open in the middle, as nearly all are, has no upper bound.
+        return np.asarray(z >= low if high > 1.0 else (z >= low) & (z <= high))
 
     @cached_property
-    def _field(self) -> tuple[float, float]:
+    def field(self) -> tuple[float, float]:
         """Least and greatest optical-axis component of a unit ray in the field of view."""
         low = math.cos(math.radians(self.max_polar_deg))
         high = math.cos(math.radians(self.min_polar_deg))
@@ -246,6 +267,11 @@ class CentralCamera(Document):
         limit = -1.0 / self.xi if self.xi > 1.0 else -self.xi
         margin = 1e-12
         return max(low - margin, math.nextafter(limit + 1e-9, math.inf)), high + margin
+
+    @cached_property
+    def _centre(self) -> Array:
+        """Principal point (2,)."""
+        return np.array([self.cx, self.cy])
 
     @cached_property
     def _corner(self) -> Array:

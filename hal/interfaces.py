@@ -16,6 +16,8 @@ from hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
 from robots import Robot
 from robots.documents import Document
 
+_NOTHING_TO_REPORT = BaseStatus()
+
 
 class Clock(ABC):
     """Steady time in seconds. Simulated clocks advance their world while they "sleep"."""
@@ -70,7 +72,7 @@ class Base(ABC):
 
     def status(self) -> BaseStatus:
         """Return the base's health; the default is a base that has nothing to report."""
-        return BaseStatus()
+        return _NOTHING_TO_REPORT
 
     def ranges(self) -> Sequence[Range]:
         """Return the newest reading of every range sensor; the default has none."""

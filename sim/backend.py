@@ -17,10 +17,10 @@ from hal.types import Frame, Odometry, Pose, Range, Velocity
 from robots import Limits, Robot
 from robots.documents import Document
 from robots.model import Mount
+from sim.drawers import open_renderer
 from sim.imaging import Sensor
 from sim.options import SimOptions
 from sim.physics import Physics
-from sim.renderer import BulletRenderer, choose_drawer
 from sim.scene import Item, Scene, load_scene
 from sim.world import World
 
@@ -209,8 +209,8 @@ class SimBackend(Backend):
             raise CameraError("the true camera's images have another size than the calibration's")
         physics = Physics(scene, self.robot, options.gui)
         try:
-            renderer = BulletRenderer(
-                scene, model, choose_drawer(options.renderer), options.detail, options.show_floor
+            renderer = open_renderer(
+                options.renderer, scene, model, options.detail, options.show_floor
             )
         except BaseException:
             physics.close()

@@ -10,7 +10,7 @@ to the base; never the truth.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import ClassVar, Generic, NamedTuple, TypeVar
@@ -70,9 +70,10 @@ class Views:
     ids : (N,) names of the features, stable over time.
     sigma : standard deviation of one bearing (rad), the same for all.
     stamp : exposure time of the current frame (s).
-    sigmas : (3, N) standard deviations of each bearing in the target, initial and current view
-        (rad), where they are known one by one: rays near the rim of an image are sharper, and a
-        target averaged over several frames is better than one frame. None: ``sigma`` for all.
+    sigmas : returns the standard deviations (3, N) of each bearing in the target, initial and
+        current view (rad), where they are known one by one: rays near the rim of an image are
+        sharper, and a target averaged over several frames is better than one frame. Few
+        estimators ask. None: ``sigma`` for all.
     """
 
     ids: NDArray[np.int64]
@@ -84,15 +85,21 @@ class Views:
     stamp: float
     health: Health = Health.OK
     reason: str = ""
-    sigmas: Array | None = None
+    sigmas: Callable[[], Array] | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
 
+    @classmethod
+    def nothing(cls, stamp: float, reason: str) -> Views:
+        """Return the views of a frame that must not be used, exposed at ``stamp`` (s)."""
+        ids, rays = np.empty(0, dtype=np.int64), np.empty((0, 3))
+        return cls(ids, rays, rays, rays, rays[:, :2], 0.0, stamp, Health.LOST, reason)
+
     def bearing_sigmas(self) -> Array:
         """Return the standard deviations (3, N) of the bearings: target, initial, current."""
         if self.sigmas is not None:
-            return self.sigmas
+            return self.sigmas()
         return np.full((3, len(self)), self.sigma)
 
 
@@ -141,8 +148,7 @@ class Obstacle(NamedTuple):
     certain: bool = True
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """What a controller wants.
 
     phase : name of the part of its task that it is in.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from hal.actuation import towards
 from hal.types import STANDSTILL, Velocity
 from robots import Limits
 
 #: What an ARCOS base takes: whole mm/s and whole deg/s.
-_V_STEP = 1e-3
-_OMEGA_STEP = math.radians(1.0)
+V_STEP = 1e-3
+OMEGA_STEP = math.radians(1.0)
 
 
 class CommandShaper:
@@ -48,10 +49,8 @@ class CommandShaper:
             return wanted
         bounded, _ = self.bounded(wanted)
         ramped = Velocity(
-            _towards(self._last.v, bounded.v, self._limits.acceleration_m_s2 * dt),
-            _towards(
-                self._last.omega, bounded.omega, self._limits.angular_acceleration_rad_s2 * dt
-            ),
+            towards(self._last.v, bounded.v, self._limits.acceleration_m_s2 * dt),
+            towards(self._last.omega, bounded.omega, self._limits.angular_acceleration_rad_s2 * dt),
         )
         self._last = ramped
         return self._rounded(ramped) if self._whole_units else ramped
@@ -64,13 +63,9 @@ class CommandShaper:
 
     def _rounded(self, wanted: Velocity) -> Velocity:
         rounded = []
-        for k, step in enumerate((_V_STEP, _OMEGA_STEP)):
+        for k, step in enumerate((V_STEP, OMEGA_STEP)):
             due = wanted[k] / step + self._carry[k]
             whole = math.floor(due + 0.5)
             self._carry[k] = due - whole
             rounded.append(whole * step)
         return Velocity(*rounded)
-
-
-def _towards(value: float, goal: float, step: float) -> float:
-    return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)

@@ -50,20 +50,21 @@ BOXES: tuple[tuple[str, Start, tuple[tuple[float, float], ...], str], ...] = (
     ("sonar, no box", (-0.55, -1.35, -35.0), (), _SONAR),
 )
 _TAKEN_10 = "target.frames=10"
+_SHOWN = "centre off along the other axis by (px)"
 
 
 def figure_4_3(bench: Bench) -> list[Row]:
     """Tilt the camera by 0…10 deg, shift its centre by 0…20 px: 50 runs each.
 
-    The robot counts on bearings that are off by 8 px instead of the 1 px of noise that there
-    is: it knows that its calibration may be wrong, but not how.
+    The filter is told of the noise in the images and knows nothing of the wrong calibration. A
+    shift along the image's other axis is shown and not judged.
     """
     cases = [("misalignment (deg)", "camera_error.tilt_deg", value) for value in TILTS_DEG]
     cases += [("centre off by (px)", "camera_error.cx_px", value) for value in SHIFTS_PX]
+    cases += [(_SHOWN, "camera_error.cy_px", value) for value in SHIFTS_PX[1:]]
     start = (-8.0, -12.0, -20.0)
-    told = ("rate_hz=2", _TAKEN_10, "perception.noise_px=8.0")
     jobs = [
-        noisy(start, 8000 + seed, *told, f"{key}={value}")
+        noisy(start, 8000 + seed, "rate_hz=2", _TAKEN_10, f"{key}={value}")
         for _, key, value in cases
         for seed in range(CAMERA_RUNS)
     ]
@@ -79,7 +80,11 @@ def figure_4_3(bench: Bench) -> list[Row]:
         )
     plot_curves(bench.out, curves, np.array(FIGURE_4_3))
     return [
-        at_most(f"{label} {value}, mean", named(*FIGURE_4_3), named(*group.mean))
+        at_most(
+            f"{label} {value}, mean",
+            named(*FIGURE_4_3) if label != _SHOWN else {},
+            named(*group.mean),
+        )
         for (label, _, value), group in zip(cases, groups, strict=True)
     ]
 

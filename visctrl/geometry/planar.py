@@ -31,20 +31,20 @@ IDENTICAL = "views identical: the direction of the baseline is not determined"
 #: Fewer correspondences than this leave no residual to judge a motion by.
 MINIMUM_FEATURES = 4
 #: Scale of the soft-L1 kernel in standard deviations of the residual.
-_KERNEL_SIGMAS = 1.5
+KERNEL_SIGMAS = 1.5
 #: A baseline shows when its information exceeds the noise's by this many standard deviations.
-_BASELINE_SIGNIFICANCE = 5.0
+BASELINE_SIGNIFICANCE = 5.0
 #: A feature's parallax is at most this many times the usual one.
-_NEAREST = 10.0
+NEAREST = 10.0
 #: Noise of the θ column (in σ²) up to which a feature always says something about the direction,
 #: and the multiple of the usual noise up to which it does where all have more.
-_MAX_NOISE, _USUAL_NOISE = 4.0, 10.0
+MAX_NOISE, USUAL_NOISE = 4.0, 10.0
 #: Standard deviations (rad) beyond which a motion counts as undetermined.
-_MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
+MAX_PHI_SD, MAX_DIRECTION_SD = 0.2, 0.5
 #: A step shorter than this part of a ray's noise ends a descent.
-_STILL = 1e-2
+STILL = 1e-2
 #: After a step shorter than this many times a ray's noise, the next is Newton's.
-_NEAR = 10.0
+NEAR = 10.0
 #: Variance of a direction of which nothing is known (uniform on the circle).
 _UNKNOWN_DIRECTION = np.pi**2 / 3.0
 
@@ -265,11 +265,11 @@ def _linearise(a: Array, b: Array, phi: float, direction: float) -> _Linearised:
 
 
 def _soft_l1_weights(scaled: Array) -> Array:
-    return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2), dtype=np.float64)
+    return np.asarray(1.0 / np.sqrt(1.0 + (scaled / KERNEL_SIGMAS) ** 2), dtype=np.float64)
 
 
 def _soft_l1_cost(scaled: Array) -> float:
-    return float(np.sum(np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2) - 1.0))
+    return float(np.sum(np.sqrt(1.0 + (scaled / KERNEL_SIGMAS) ** 2) - 1.0))
 
 
 def _descend(
@@ -288,13 +288,13 @@ def _descend(
         trial = _linearise(a, b, *ahead)
         trial_cost = _soft_l1_cost(trial.residual / sigma)
         if trial_cost > cost:
-            if longest < _STILL * sigma:
+            if longest < STILL * sigma:
                 break
             damping, newton = max(damping, 1e-6) * 10.0, False
             continue
         (phi, direction), linear, cost = ahead, trial, trial_cost
-        damping, newton = damping * 0.1, longest < _NEAR * sigma
-        if longest < _STILL * sigma:
+        damping, newton = damping * 0.1, longest < NEAR * sigma
+        if longest < STILL * sigma:
             break
     return phi, direction
 
@@ -321,16 +321,16 @@ def _covariance(
     J = linear.jacobian
     variance = (sigma * spread) ** 2
     info = (weights[:, None] * J).T @ J / variance
-    if info[0, 0] * _MAX_PHI_SD**2 < 1.0:
+    if info[0, 0] * MAX_PHI_SD**2 < 1.0:
         return np.diag([np.inf, np.inf]), "features clustered, or level with the camera"
     significance, direction_info = _direction_information(linear, weights, variance)
-    if significance < _BASELINE_SIGNIFICANCE:
+    if significance < BASELINE_SIGNIFICANCE:
         alone = np.diag([1.0 / info[0, 0], _UNKNOWN_DIRECTION])
         return alone, IDENTICAL
     coupling = info[0, 1] / info[0, 0]
     v = 1.0 / max(direction_info - coupling * info[0, 1], 1e-12)
     covariance = np.array([[1.0 / info[0, 0] + coupling**2 * v, -coupling * v], [-coupling * v, v]])
-    if covariance[0, 0] > _MAX_PHI_SD**2 or v > _MAX_DIRECTION_SD**2:
+    if covariance[0, 0] > MAX_PHI_SD**2 or v > MAX_DIRECTION_SD**2:
         return covariance, "features clustered: they do not separate turning from moving"
     return covariance, ""
 
@@ -351,7 +351,7 @@ def _direction_information(
         return signal, np.sqrt(2.0 * float(np.sum((w * linear.noise) ** 2)))
 
     shown, doubt = debiased(weights / (1.0 + linear.noise))
-    loud = max(_MAX_NOISE, _USUAL_NOISE * float(np.median(linear.noise)))
+    loud = max(MAX_NOISE, USUAL_NOISE * float(np.median(linear.noise)))
     sure, _ = debiased(np.where(linear.noise < loud, weights, 0.0))
     everything, doubt_everything = debiased(weights)
     return shown / max(doubt, 1e-12), max(sure, everything - 2.0 * doubt_everything)
@@ -372,7 +372,7 @@ def _plausible(a: Array, b: Array, phi: float, direction: float, limit: float) -
     """
     parallax = signed_parallax(a, b, phi, direction)
     usual = float(np.median(np.abs(parallax)))
-    return np.asarray((parallax > -2.0 * limit) & (parallax < max(_NEAREST * usual, 2.0 * limit)))
+    return np.asarray((parallax > -2.0 * limit) & (parallax < max(NEAREST * usual, 2.0 * limit)))
 
 
 def _too_few(count: int, agreeing: int | None = None) -> PlanarMotion:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated
 
 from pydantic import Field
 
+from hal.actuation import towards
 from hal.errors import StaleFrameError
 from hal.types import STANDSTILL, Frame, Velocity
 from robots import Limits, Robot
@@ -163,8 +163,8 @@ class Guard:
         excess = max(1.0, abs(wanted.v) / limits.v_m_s, abs(wanted.omega) / omega_max)
         dt = self._period if self._sent_at is None else now - self._sent_at
         return Velocity(
-            _ramped(self._sent.v, wanted.v / excess, limits.acceleration_m_s2 * dt),
-            _ramped(
+            towards(self._sent.v, wanted.v / excess, limits.acceleration_m_s2 * dt),
+            towards(
                 self._sent.omega, wanted.omega / excess, limits.angular_acceleration_rad_s2 * dt
             ),
         )
@@ -181,7 +181,3 @@ class Guard:
             and self._sent != STANDSTILL
             and now - self._sent_at > self._options.max_command_age_s
         )
-
-
-def _ramped(value: float, goal: float, step: float) -> float:
-    return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)

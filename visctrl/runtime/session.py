@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 _KEYBOARD_INTERRUPT = 130
 #: Slower than this, the robot stands (m/s, rad/s).
-_STANDING = (1e-3, 2e-3)
+STANDING = (1e-3, 2e-3)
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ class _Session:
         while standing < 2 and clock.now() < deadline:
             clock.sleep_until(clock.now() + period)
             velocity = backend.base.odometry().velocity
-            still = abs(velocity.v) < _STANDING[0] and abs(velocity.omega) < _STANDING[1]
+            still = abs(velocity.v) < STANDING[0] and abs(velocity.omega) < STANDING[1]
             standing = standing + 1 if still else 0
 
     def _stop(self, backend: Backend) -> None:
