@@ -122,7 +122,7 @@ def trailed(points: Array, heading: Array, lever: float) -> Array:
     """Return poses (E, P, 3) of an axle that trails a control point along points (E, P, 2).
 
     Along a piece without a turn, tan(ε/2) falls as exp(−s/ℓ), ε being the path's direction less
-    the heading (see `visctrl.control.paths.path_demand`).
+    the heading (see `visctrl.control.paths.path_time`).
     """
     step = np.diff(points, axis=1)
     direction = np.arctan2(-step[..., 0], step[..., 1])

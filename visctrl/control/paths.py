@@ -28,6 +28,8 @@ Mask = NDArray[np.bool_]
 #: Farther from the path's direction than this (rad), the robot turns on the spot first.
 TURN_FROM, TURN_TO = math.radians(100.0), math.radians(20.0)
 
+#: Largest share of a path's height that its straight end takes.
+STRAIGHT_SHARE = 0.4
 #: Samples of a path, and of its timing.
 _SAMPLES = 400
 
@@ -122,39 +124,18 @@ def path_between(
 
 def straight_end(straight: float, ahead: ArrayLike) -> Array:
     """Return the straight ends (m) of paths that lead so far ahead (m)."""
-    return np.minimum(straight, 0.4 * np.abs(ahead))
+    return np.minimum(straight, STRAIGHT_SHARE * np.abs(ahead))
 
 
-class Demand(NamedTuple):
-    """Largest values that following a path asks for when it takes one second.
-
-    v, omega : speeds (m, rad); they fall as 1/τ.
-    v_change, omega_change : accelerations (m, rad); they fall as 1/τ².
-    """
-
-    v: float
-    omega: float
-    v_change: float
-    omega_change: float
-
-    def time(self, limits: Limits | None, reserve: float) -> float:
-        """Return the shortest time (s) for which ``reserve`` of each limit is enough."""
-        if limits is None:
-            return 0.0
-        return max(
-            self.v / (reserve * limits.v_m_s),
-            self.omega / (reserve * limits.omega_rad_s),
-            math.sqrt(self.v_change / (reserve * limits.acceleration_m_s2)),
-            math.sqrt(self.omega_change / (reserve * limits.angular_acceleration_rad_s2)),
-        )
-
-
-def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
-    """Return what a robot needs to follow a path from its present heading.
+def path_time(
+    path: ParabolicPath, heading: float, lever: float, limits: Limits | None, reserve: float
+) -> float:
+    """Return the shortest time (s) in which a robot follows a path from its present heading.
 
     With the control point on the path, v = |xd'| cos ε and ω = |xd'| sin ε / ℓ, ε being the
     path's direction less the heading; along a piece of the way without a turn tan(ε/2) falls as
-    exp(−s/ℓ), which is exact and needs no small steps.
+    exp(−s/ℓ), which is exact and needs no small steps. Speeds, those of the wheels too, fall as
+    1/τ and accelerations as 1/τ².
 
     Parameters
     ----------
@@ -163,11 +144,16 @@ def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
         Of the robot at the path's start (rad).
     lever : float
         Control point ahead of the axle, ℓ (m).
+    limits : Limits or None
+        What the robot can do; None for any.
+    reserve : float
+        Share of each limit that the path may ask for.
     """
+    if limits is None:
+        return 0.0
     step = np.diff(path.points(), axis=0)
     length = np.maximum(np.linalg.norm(step, axis=1), 1e-12)
     direction = np.arctan2(-step[:, 0], step[:, 1])
-    speed = length * len(length)
     error = np.empty(len(length))
     phi = heading
     for k, (ahead, way) in enumerate(zip(direction.tolist(), length.tolist(), strict=True)):
@@ -175,12 +161,17 @@ def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
         after = 2.0 * math.atan(math.tan(before / 2.0) * math.exp(-way / lever))
         error[k] = 0.5 * (before + after)
         phi = ahead - after
+    # Velocities, and their changes, if it took one second.
+    speed = length * len(length)
     v, omega = speed * np.cos(error), speed * np.sin(error) / lever
-    return Demand(
-        float(np.abs(v).max()),
-        float(np.abs(omega).max()),
-        float(np.abs(np.diff(v, prepend=0.0, append=0.0)).max()) * len(length),
-        float(np.abs(np.diff(omega, prepend=0.0, append=0.0)).max()) * len(length),
+    v_change, omega_change = (
+        np.abs(np.diff(part, prepend=0.0, append=0.0)).max() * len(length) for part in (v, omega)
+    )
+    fastest = max(map(limits.ratio, v.tolist(), omega.tolist()))
+    return max(
+        fastest / reserve,
+        math.sqrt(v_change / (reserve * limits.acceleration_m_s2)),
+        math.sqrt(omega_change / (reserve * limits.angular_acceleration_rad_s2)),
     )
 
 

@@ -12,11 +12,12 @@ from hal.types import STANDSTILL, Pose, Velocity
 from robots.errors import InputError
 from visctrl.control.avoidance import Avoidance, AvoidanceOptions
 from visctrl.control.paths import (
+    STRAIGHT_SHARE,
     TURN_FROM,
     TURN_TO,
     ParabolicPath,
     Reference,
-    path_demand,
+    path_time,
 )
 from visctrl.control.stages import TARGET, Goal, Itinerary, Stage
 from visctrl.control.way_search import Drive
@@ -34,6 +35,8 @@ _STRAIGHT_LEVERS = 5.0
 _STRAIGHT_M = 0.4
 #: Standing for so long at most (s), the robot corrects its heading at the goal.
 _ALIGN_S = 4.0
+#: To this the path's pace is found where the robot is too slow for it.
+_PACE_STEP = 1e-3
 _ALIGNED_RAD = math.radians(0.15)
 
 
@@ -109,6 +112,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         self._elapsed = 0.0
         self._settled = 0.0
         self._task_time = 0.0
+        self._stretched = 0.0
         self._reference: Reference | None = None
 
     def expect(self, obstacles: Sequence[Obstacle]) -> None:
@@ -134,7 +138,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
             self._itinerary = Itinerary(self.options.goals, self.options.tau_s, estimate.pose)
         self._elapsed += dt
         if self._stage is not None:
-            self._stage.time += dt
+            self._stage.time += dt * self._stage.pace
             if self._stage.time >= self._stage.tau:
                 if not self._itinerary.left:
                     return self._follow(self._stage, estimate, dt)
@@ -156,12 +160,25 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         x, y = self._reference.position
         return {"x_reference": x, "y_reference": y, "task_time": self._task_time}
 
+    def notes(self) -> Sequence[str]:
+        """Say by how much the robot's limits have made the task longer."""
+        if self._stretched < self.context.period_s:
+            return ()
+        return (
+            f"the path takes {self._stretched:.1f} s longer than controller.tau_s: in "
+            f"{self.options.tau_s:g} s it asks for more than the robot's speed, acceleration and "
+            "period allow",
+        )
+
     # --- stages ------------------------------------------------------------------------------
 
     def _begin(self, itinerary: Itinerary, estimate: PoseEstimate) -> Decision:
         """Turn on the spot if the next stage asks for it, then start it."""
-        tau = itinerary.time_for_next(estimate.pose, self._elapsed)
-        stage = self._prepared(itinerary.left[0], tau, estimate)
+        asked = itinerary.time_for_next(estimate.pose, self._elapsed)
+        nearest = self._stage_to(itinerary.left[0], self.context.camera_forward_m, estimate)
+        tau = self._least_time(nearest, max(asked, self._settling(nearest.target)), estimate)
+        lever = self._lever(math.dist(estimate.pose[:2], nearest.target.place), tau)
+        stage = self._stage_to(nearest.target, lever, estimate)
         path = stage.path(estimate.initial)
         error = math.remainder(path.heading - estimate.pose.phi, math.tau)
         if abs(error) > (TURN_TO if self._turning else TURN_FROM):
@@ -173,20 +190,25 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         self._turning = False
         if self._blocked(stage, estimate):
             return self._halt(itinerary, under_way=False)
-        demand = path_demand(path, estimate.pose.phi, stage.lever)
-        stage.tau = max(tau, demand.time(self.context.limits, self.options.reserve))
+        stage.tau = self._least_time(stage, tau, estimate)
+        self._stretched += stage.tau - asked
         itinerary.take()
         self._stage = stage
-        rest = self.options.tau_s - self._elapsed - tau if itinerary.left else 0.0
+        rest = self.options.tau_s - self._elapsed - asked if itinerary.left else 0.0
         self._task_time = self._elapsed + stage.tau + max(rest, 0.0)
         return self._follow(stage, estimate, 0.0)
 
-    def _prepared(self, goal: Goal, tau: float, estimate: PoseEstimate) -> Stage:
+    def _stage_to(self, goal: Goal, lever: float, estimate: PoseEstimate) -> Stage:
         """Return a stage from the present pose."""
-        lever = self._lever(math.dist(estimate.pose[:2], goal.place), tau)
         camera = self.context.camera_forward_m
         straight = self._straight(lever)
         return Stage(estimate.pose, estimate.initial, goal, camera, lever, straight)
+
+    def _least_time(self, stage: Stage, tau: float, estimate: PoseEstimate) -> float:
+        """Return the time for a stage (s): ``tau``, or as long as the robot needs for its path."""
+        path, phi = stage.path(estimate.initial), estimate.pose.phi
+        limits, reserve = self.context.limits, self.options.reserve
+        return max(tau, path_time(path, phi, stage.lever, limits, reserve))
 
     def _lever(self, way: float, tau: float) -> float:
         """Return how far the control point is ahead of the axle on a way of some length (m)."""
@@ -196,6 +218,16 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
             step = math.pi / 2.0 * way / tau * self.context.period_s
             lever = max(lever, _LEVER_PER_STEP * step)
         return math.copysign(lever, camera)
+
+    def _settling(self, goal: Goal) -> float:
+        """Return the least time (s) in which the heading settles on the way to a goal.
+
+        The lever grows with the speed, and the path's end must be long enough for it.
+        """
+        if goal is not TARGET or self.options.lookahead_m is not None:
+            return 0.0
+        levers = STRAIGHT_SHARE / _STRAIGHT_LEVERS
+        return _LEVER_PER_STEP * math.pi / 2.0 * self.context.period_s / levers
 
     def _straight(self, lever: float) -> float:
         """Return the length of a path's straight end (m)."""
@@ -239,37 +271,54 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         if stage.time >= stage.tau + self.options.settle_s:
             return self._at_goal(estimate, dt)
         path = stage.path(estimate.initial)
-        velocity = self._law(stage, path, estimate.pose)
-        excess = self._excess(velocity)
-        if excess > 1.0 and stage.time < stage.tau:
-            # The path waits for the robot, instead of the robot cutting its corners.
-            stage.time -= dt * (1.0 - 1.0 / excess)
-            stage.time = max(stage.time, 0.0)
-            velocity = self._law(stage, path, estimate.pose)
+        ahead, back = self._law(stage, path, estimate.pose)
+        stage.pace = self._pace(ahead, back)
+        waited = (1.0 - stage.pace) * self.context.period_s
+        self._stretched += waited
+        self._task_time += waited
         arrived = stage.time >= stage.tau
-        return Decision(velocity, "settle" if arrived else "path")
+        velocity = Velocity(stage.pace * ahead.v + back.v, stage.pace * ahead.omega + back.omega)
+        return Decision(self._bounded(velocity), "settle" if arrived else "path")
 
-    def _law(self, stage: Stage, path: ParabolicPath, pose: Pose) -> Velocity:
-        period = self.context.period_s
+    def _law(self, stage: Stage, path: ParabolicPath, pose: Pose) -> tuple[Velocity, Velocity]:
+        """Return (4.21) in two parts: what follows the path, and what corrects the position."""
         self._reference = path.at(stage.time, stage.tau)
-        # Constant over a tick, the velocity is right on average when taken in its middle.
+        forth = (0.0, 0.0)
         if stage.time < stage.tau:
-            ahead = path.at(stage.time + period / 2.0, stage.tau).velocity
-        else:
-            ahead = (0.0, 0.0)
-        offset = stage.ahead
+            # Constant over a tick, the velocity is right on average when taken in its middle.
+            forth = path.at(stage.time + self.context.period_s / 2.0, stage.tau).velocity
         s, c = math.sin(pose.phi), math.cos(pose.phi)
-        x, y = pose.x - s * offset, pose.y + c * offset
+        x, y = pose.x - s * stage.ahead, pose.y + c * stage.ahead
         x_wanted, y_wanted = self._reference.position
-        nu_x = ahead[0] - self.options.lambda_x * (x - x_wanted)
-        nu_y = ahead[1] - self.options.lambda_y * (y - y_wanted)
-        return Velocity(-s * nu_x + c * nu_y, -(c * nu_x + s * nu_y) / stage.lever)
+        back = self.options.lambda_x * (x_wanted - x), self.options.lambda_y * (y_wanted - y)
+        ahead, corrected = (
+            Velocity(-s * nu_x + c * nu_y, -(c * nu_x + s * nu_y) / stage.lever)
+            for nu_x, nu_y in (forth, back)
+        )
+        return ahead, corrected
 
-    def _excess(self, velocity: Velocity) -> float:
+    def _pace(self, ahead: Velocity, back: Velocity) -> float:
+        """Return how fast the path's time may pass: it waits for the robot.
+
+        The other way, a robot that is not fast enough would cut the path's corners.
+        """
         limits = self.context.limits
-        if limits is None:
-            return 0.0
-        return max(abs(velocity.v) / limits.v_m_s, abs(velocity.omega) / limits.omega_rad_s)
+        if limits is None or limits.ratio(ahead.v + back.v, ahead.omega + back.omega) <= 1.0:
+            return 1.0
+        low, high = 0.0, 1.0
+        while high - low > _PACE_STEP:
+            pace = (low + high) / 2.0
+            if limits.ratio(pace * ahead.v + back.v, pace * ahead.omega + back.omega) <= 1.0:
+                low = pace
+            else:
+                high = pace
+        return low
+
+    def _bounded(self, velocity: Velocity) -> Velocity:
+        """Return a correction within the limits, where it alone exceeds them."""
+        limits = self.context.limits
+        excess = 1.0 if limits is None else max(1.0, limits.ratio(*velocity))
+        return Velocity(velocity.v / excess, velocity.omega / excess)
 
     def _at_goal(self, estimate: PoseEstimate, dt: float) -> Decision:
         """Correct the heading on the spot, which moves the camera by millimetres, and finish."""

@@ -54,6 +54,13 @@ class Stage:
         Camera and control point ahead of the axle (m).
     straight : float
         Longest straight end of the path (m).
+
+    Attributes
+    ----------
+    time, tau : float
+        Where on the path's timing the stage is, and where that ends (s).
+    pace : float
+        How fast that time passes; less than 1 where the robot cannot follow.
     """
 
     def __init__(
@@ -63,6 +70,7 @@ class Stage:
         self.lever = lever
         self.ahead = lever - camera
         self.tau = self.time = 0.0
+        self.pace = 1.0
         self._straight = straight
         point = compose(pose, np.array([0.0, self.ahead, 0.0]))
         self._anchor: tuple[float, ...] = tuple(relative_pose(point, initial).tolist())
