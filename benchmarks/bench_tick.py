@@ -32,12 +32,13 @@ from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
 from visctrl.estimation.tensor import Tensor
 from visctrl.estimation.tensor_method import TensorOptions
 from visctrl.perception.klt import Klt, KltOptions
-from visctrl.perception.tracker import LEVELS, WINDOW
 from visctrl.plugins import Context
 
 T = TypeVar("T")
 START = Pose(-0.5, -2.4, np.radians(-12.0))
 VELOCITY, PERIOD_S = Velocity(0.3, 0.025), 0.1
+# The bare tracking: window side (px) and pyramid levels above the image.
+WINDOW, LEVELS = 15, 3
 
 
 class Stopwatch:

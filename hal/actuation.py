@@ -119,7 +119,7 @@ def bounded(velocity: Velocity, limits: Limits | None) -> Velocity:
     """Return ``velocity`` within its bounds, both components scaled alike (curvature stays)."""
     if limits is None:
         return velocity
-    excess = max(1.0, abs(velocity.v) / limits.v_m_s, abs(velocity.omega) / limits.omega_rad_s)
+    excess = max(1.0, limits.ratio(*velocity))
     return Velocity(velocity.v / excess, velocity.omega / excess)
 
 
@@ -129,7 +129,13 @@ def quantised(velocity: Velocity, limits: Limits | None) -> Velocity:
     top_deg = limits.omega_deg_s if limits else math.inf
     v_mm = _whole(velocity.v * _MM, top_mm)
     omega_deg = _whole(math.degrees(velocity.omega), top_deg)
-    return Velocity(v_mm / _MM, math.radians(omega_deg))
+    nearest = Velocity(v_mm / _MM, math.radians(omega_deg))
+    if limits is None or limits.ratio(*nearest) <= 1.0 + 1e-9:
+        return nearest
+    # Both rounded up, a wheel would be too fast.
+    return Velocity(
+        math.trunc(velocity.v * _MM) / _MM, math.radians(math.trunc(math.degrees(velocity.omega)))
+    )
 
 
 def _whole(value: float, bound: float) -> int:

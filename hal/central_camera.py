@@ -35,6 +35,8 @@ def _not_zero(focal: float) -> float:
 
 Focal = Annotated[float, AfterValidator(_not_zero)]
 
+_ONES = np.ones(3)
+_OPTICAL_AXIS = np.array([[0.0], [0.0], [1.0]])
 # Columns are the camera's x, y, z axes in robot coordinates (right, forward, up).
 _MOUNTINGS: dict[str, Array] = {
     "forward": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
@@ -91,7 +93,7 @@ class CentralCamera(Document):
         valid : (...) bool array
             The ray is in the field of view and falls into the image.
         """
-        return self._image(np.asarray(rays, dtype=np.float64), self._intrinsics)
+        return self._image(rays, self._forms)
 
     def unproject(self, pixels: ArrayLike) -> tuple[Array, Mask]:
         """Return the unit rays (..., 3) in camera axes of pixels (..., 2), and their validity.
@@ -99,21 +101,7 @@ class CentralCamera(Document):
         A ray is valid when the pixel lies in the image of the field of view; elsewhere it is
         NaN where the model has none (ξ > 1 outside its image circle).
         """
-        pixels = np.asarray(pixels, dtype=np.float64)
-        y = (pixels[..., 1] - self.cy) / self.fy
-        x = (pixels[..., 0] - self.cx) / self.fx
-        if self.skew != 0.0:
-            x -= self.skew / self.fx * y
-        r2 = x * x + y * y
-        root = 1.0 + (1.0 - self.xi**2) * r2
-        if self.xi > 1.0:
-            root = np.where(root >= 0.0, root, np.nan)
-        factor = (self.xi + np.sqrt(root)) / (1.0 + r2)
-        rays = np.empty((*x.shape, 3))
-        rays[..., 0] = factor * x
-        rays[..., 1] = factor * y
-        z = rays[..., 2] = factor - self.xi
-        return rays, self._in_field(z) & self.contains(pixels)
+        return self._rays(pixels, self._inverse, _OPTICAL_AXIS)
 
     def jacobian(self, rays: ArrayLike) -> Array:
         """Return ∂pixel/∂ray (..., 2, 3) at the unit vectors along ``rays`` (..., 3).
@@ -149,12 +137,11 @@ class CentralCamera(Document):
 
     def robot_rays(self, pixels: ArrayLike) -> tuple[Array, Mask]:
         """Return unit rays (..., 3) as (right, forward, up) of pixels (..., 2), and validity."""
-        rays, valid = self.unproject(pixels)
-        return rays @ self.rotation.T, valid
+        return self._rays(pixels, self._robot_inverse, self.rotation[:, 2:])
 
     def robot_pixels(self, rays: ArrayLike) -> tuple[Array, Mask]:
         """Return pixels (..., 2) of robot rays (..., 3), and their validity (see `project`)."""
-        return self._image(np.asarray(rays, dtype=np.float64), self._robot_intrinsics)
+        return self._image(rays, self._robot_forms)
 
     def bearing_per_pixel(self, rays: ArrayLike) -> Array:
         """Return how far (rad) one pixel's noise turns the bearings of robot rays (..., 3).
@@ -230,32 +217,84 @@ class CentralCamera(Document):
         """Return a copy with some fields changed and everything checked again."""
         return CentralCamera.model_validate({**self.model_dump(), **changes})
 
-    def _image(self, rays: Array, intrinsics: Array) -> tuple[Array, Mask]:
-        """Return what `project` returns, with ``intrinsics`` (3, 3) for the rays' axes."""
-        square = rays * rays
-        norm = np.sqrt(square[..., 0] + square[..., 1] + square[..., 2])
-        image = rays @ intrinsics
-        z = image[..., 2]
-        seen = self._in_field(z / norm)
-        depth = np.where(seen, z + self.xi * norm, np.nan)
-        pixels = image[..., :2] / depth[..., None] + self._centre
-        return pixels, seen & self.contains(pixels)
+    def _image(self, rays: ArrayLike, forms: Array) -> tuple[Array, Mask]:
+        """Return what `project` returns, by the forms (see `_forms`) of the rays' axes."""
+        rays = np.asarray(rays, dtype=np.float64)
+        ray = np.empty((4, math.prod(rays.shape[:-1])))
+        ray[:3] = rays.reshape(-1, 3).T
+        np.sqrt(_ONES.dot(ray[:3] * ray[:3]), out=ray[3])
+        found = forms.dot(ray)
+        inside = found[3:] > 0.0
+        valid = np.logical_and.reduce(inside)
+        depth = found[2]
+        if not valid.all():
+            depth = np.where(inside[-1] & inside[-2], depth, np.nan)
+        pixels = found[:2] / depth
+        return pixels.T.reshape(*rays.shape[:-1], 2), valid.reshape(rays.shape[:-1])
 
-    @cached_property
-    def _intrinsics(self) -> Array:
-        """(3, 3): a ray in camera axes times it is (u, v, 1) z but for the image's centre."""
-        return np.array([[self.fx, 0.0, 0.0], [self.skew, self.fy, 0.0], [0.0, 0.0, 1.0]])
+    def _rays(self, pixels: ArrayLike, inverse: Array, axis: Array) -> tuple[Array, Mask]:
+        """Return what `unproject` returns, in any axes.
 
-    @cached_property
-    def _robot_intrinsics(self) -> Array:
-        """(3, 3): the same for robot rays."""
-        return self.rotation @ self._intrinsics
-
-    def _in_field(self, z: Array) -> Mask:
-        """Return whether unit rays with optical-axis component ``z`` are in the field of view."""
+        inverse : `_inverse` in these axes; axis : (3, 1), the optical axis.
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        image = np.empty((3, math.prod(pixels.shape[:-1])))
+        image[:2], image[2] = pixels.reshape(-1, 2).T, 1.0
+        found = inverse.dot(image)
+        ray = found[:3]
+        square, xi = _ONES.dot(ray * ray), self.xi
+        root = (1.0 - xi**2) * square + xi**2
+        if xi > 1.0:
+            root = np.where(root >= 0.0, root, np.nan)
+        factor = (np.sqrt(root) + xi) / square
+        ray *= factor
+        ray -= xi * axis
         low, high = self.field
-        # A field of view that is open in the middle, as nearly all are, has no upper bound.
-        return np.asarray(z >= low if high > 1.0 else (z >= low) & (z <= high))
+        valid = np.logical_and.reduce(found[3:] >= 0.0) & (factor >= low + xi)
+        if high < 1.0:
+            valid &= factor <= high + xi
+        return ray.T.reshape(*pixels.shape[:-1], 3), valid.reshape(pixels.shape[:-1])
+
+    @cached_property
+    def _forms(self) -> Array:
+        """(9, 4): what is linear in a ray and its length, (x, y, z, ρ).
+
+        The image (u, v, 1) times the depth z + ξρ, how far inside the image's four edges that
+        is, and how far inside the bounds of the field of view: a ray is seen where all of the
+        last six are positive.
+        """
+        image = np.array(
+            [
+                [self.fx, self.skew, self.cx, self.cx * self.xi],
+                [0.0, self.fy, self.cy, self.cy * self.xi],
+                [0.0, 0.0, 1.0, self.xi],
+            ]
+        )
+        low, high = self.field
+        field = np.array([[0.0, 0.0, -1.0, high], [0.0, 0.0, 1.0, -low]])
+        return np.concatenate([image, self._edges.dot(image), field])
+
+    @cached_property
+    def _robot_forms(self) -> Array:
+        """(9, 4): `_forms` of robot rays."""
+        return np.concatenate([self._forms[:, :3].dot(self.rotation.T), self._forms[:, 3:]], axis=1)
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """(7, 3): takes (u, v, 1) to (x, y, 1) on the normalised plane, and to `_edges`."""
+        K = np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        return np.concatenate([np.linalg.inv(K), self._edges])
+
+    @cached_property
+    def _robot_inverse(self) -> Array:
+        """(7, 3): `_inverse` with the plane's points in robot axes."""
+        return np.concatenate([self.rotation.dot(self._inverse[:3]), self._edges])
+
+    @cached_property
+    def _edges(self) -> Array:
+        """(4, 3): takes (u, v, 1) to its distances from the outer edges of the image (px)."""
+        right, bottom = self.width - 0.5, self.height - 0.5
+        return np.array([[1.0, 0.0, 0.5], [-1.0, 0.0, right], [0.0, 1.0, 0.5], [0.0, -1.0, bottom]])
 
     @cached_property
     def field(self) -> tuple[float, float]:
@@ -267,11 +306,6 @@ class CentralCamera(Document):
         limit = -1.0 / self.xi if self.xi > 1.0 else -self.xi
         margin = 1e-12
         return max(low - margin, math.nextafter(limit + 1e-9, math.inf)), high + margin
-
-    @cached_property
-    def _centre(self) -> Array:
-        """Principal point (2,)."""
-        return np.array([self.cx, self.cy])
 
     @cached_property
     def _corner(self) -> Array:

@@ -14,6 +14,7 @@ from typing import ClassVar, Self
 from hal.central_camera import CentralCamera
 from hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
 from robots import Robot
+from robots.documents import Document
 
 _NOTHING_TO_REPORT = BaseStatus()
 
@@ -95,6 +96,12 @@ class Backend(ABC):
     camera: Camera
     base: Base
     clock: Clock
+
+    @classmethod
+    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+        """Return whether the base would have range sensors; the default has none."""
+        del robot, options
+        return False
 
     @abstractmethod
     def open(self) -> None:

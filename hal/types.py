@@ -71,12 +71,14 @@ class Range(NamedTuple):
     right, forward : where the sensor sits about the axle's centre (m).
     bearing : in which direction it looks (rad, clockwise from forward).
     distance : to what it meets (m); infinite for nothing.
+    age : since it was measured (s).
     """
 
     right: float
     forward: float
     bearing: float
     distance: float
+    age: float = 0.0
 
 
 class BaseStatus(NamedTuple):

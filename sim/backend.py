@@ -12,8 +12,10 @@ from hal.clock import WallClock, WorldClock
 from hal.errors import CameraError, LinkError
 from hal.faults import FaultyCapture, check_link
 from hal.interfaces import Backend, Base, Camera
+from hal.pioneer.subclasses import ring_of
 from hal.types import Frame, Odometry, Pose, Range, Velocity
 from robots import Limits, Robot
+from robots.documents import Document
 from robots.model import Mount
 from sim.drawers import open_renderer
 from sim.imaging import Sensor
@@ -125,6 +127,12 @@ class SimBackend(Backend):
         self._seed = seed
         self._realtime = realtime
         self._world: World | None = None
+
+    @classmethod
+    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+        """See `Backend.measures_ranges`: rays stand for the sonar rings that the robot has."""
+        del options
+        return bool(ring_of(robot.name))
 
     def open(self) -> None:
         """Build the world and put the robot at its start.

@@ -10,19 +10,24 @@ from numpy.typing import NDArray
 
 from hal.errors import InputError
 from sim.gl_context import current, open_context
-from sim.raycast import Candidates
+from sim.raycast import Candidates, Tiles
 from sim.texture_sheet import TextureSheet
 from sim.textures import OBLIQUENESS
 
 if TYPE_CHECKING:
     import moderngl
 
+Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Single = NDArray[np.float32]
 Whole = NDArray[np.int32]
 
 #: Entries in a row of the textures that hold tables: powers of two.
-_HITS_ROW, _PLACES_ROW = 256, 1024
+_HITS_ROW, _PLACES_ROW, _TILES_ROW = 256, 1024, 16
+#: Numbers of candidates for which there are programs of their own; 0 is for any number.
+_COUNTS = (1, 2, 3, 4, 0)
+#: Side of the blocks of pixels whose rays lie together (px).
+_BLOCK = 4
 #: Texels of a candidate.
 _HIT = 3
 
@@ -32,12 +37,10 @@ class RayPass:
 
     Parameters
     ----------
-    rays : (H, W, 4) float32
+    rays : (H, W, 4)
         Unit rays in camera axes, and the angle (rad) that the pixel spans: 0 where it is black.
-    corners : (T, 2) int32
-        Column and row of each tile's first pixel.
-    side : int
-        Side of the tiles (px).
+    tiles : Tiles
+        The parts of the image that are drawn; their side is a multiple of 4 px.
     sheet : TextureSheet
         The textures.
 
@@ -47,13 +50,13 @@ class RayPass:
         See `open_context`; or the scene has more texture than the driver can hold.
     """
 
-    def __init__(self, rays: Single, corners: Whole, side: int, sheet: TextureSheet) -> None:
+    def __init__(self, rays: Array, tiles: Tiles, sheet: TextureSheet) -> None:
         self._size = rays.shape[:2]
-        self._corners = corners
+        self._where = np.column_stack([tiles.corner, np.arange(len(tiles.corner))])
         self._context: moderngl.Context | None = open_context()
         try:
             with current(self._context):
-                self._load(self._context, rays, side, sheet)
+                self._load(self._context, _by_blocks(tiles.gather(rays)), tiles.side, sheet)
         except BaseException:
             self.close()
             raise
@@ -72,13 +75,17 @@ class RayPass:
         if self._context is None:
             raise RuntimeError("the renderer is closed")
         ends = np.cumsum(candidates.counts)
-        tiles = np.column_stack([self._corners, ends - candidates.counts, ends]).astype(np.int32)
-        alone = candidates.filled & (candidates.counts == 1)
+        tiles = np.column_stack([self._where, ends - candidates.counts, ends]).astype(np.int32)
+        # A single one that does not fill its tile has nothing behind it, and must be tested too.
+        program = np.where(candidates.filled | (candidates.counts != 1), candidates.counts, 0)
+        program[program > max(_COUNTS)] = 0
         picture = np.empty(self._size, np.uint8)
         with current(self._context):
+            # What no tile covers, or a tile that shows nothing, stays black.
+            self._target.clear()
             self._write_hits(self._context, hits)
-            self._alone.draw(tiles[alone])
-            self._mixed.draw(tiles[~alone & (candidates.counts > 0)])
+            for count, drawn in zip(_COUNTS, self._programs, strict=True):
+                drawn.draw(tiles[(program == count) & (candidates.counts > 0)])
             self._target.read_into(picture, components=1, alignment=1)
         return picture
 
@@ -91,28 +98,27 @@ class RayPass:
     def _load(
         self, context: moderngl.Context, rays: Single, side: int, sheet: TextureSheet
     ) -> None:
-        _check_sizes(context, rays, sheet)
         height, width = self._size
+        table = _in_rows(rays, _TILES_ROW)
+        _check_sizes(context, [self._size, table.shape[:2], sheet.levels[0].shape])
         places = _in_rows(np.array(sheet.places, np.float32)[:, None], _PLACES_ROW)
         self._hits = _floats(context, np.zeros((1, _HIT * _HITS_ROW, 4), np.float32))
         textures = {
             "hits": self._hits,
             "places": _floats(context, places),
-            "rays": _floats(context, rays),
+            "rays": _floats(context, table),
             "sheet": _mipmapped(context, sheet.levels),
         }
         for unit, texture in enumerate(textures.values()):
             texture.use(unit)
         uniforms = {
             "image_size": (width, height),
-            "side": side,
             **{name: unit for unit, name in enumerate(textures)},
         }
-        self._alone = _Tiles(context, True, uniforms, len(self._corners))
-        self._mixed = _Tiles(context, False, uniforms, len(self._corners))
+        self._programs = [
+            _TileProgram(context, count, side, uniforms, len(rays)) for count in _COUNTS
+        ]
         self._target = context.framebuffer([context.renderbuffer((width, height), 1)])
-        # Where there is no tile, nothing is ever drawn.
-        self._target.clear()
         self._target.use()
 
     def _write_hits(self, context: moderngl.Context, hits: Single) -> None:
@@ -125,18 +131,27 @@ class RayPass:
         self._hits.write(table, viewport=(0, 0, _HIT * _HITS_ROW, rows))
 
 
-class _Tiles:
-    """Draws tiles with one program.
+class _TileProgram:
+    """Draws tiles.
 
-    alone : each tile is filled by its only candidate.
+    count : of each tile's candidates; 1 is one that fills the tile, 0 is any number.
+    side : of the tiles (px).
+    most : how many there may be.
     """
 
     def __init__(
-        self, context: moderngl.Context, alone: bool, uniforms: dict[str, object], most: int
+        self,
+        context: moderngl.Context,
+        count: int,
+        side: int,
+        uniforms: dict[str, object],
+        most: int,
     ) -> None:
         tables = _source("tables.glsl")
         defines = {
-            "ALONE": int(alone),
+            "COUNT": count,
+            "TILE": side,
+            "TILES_ROW": _TILES_ROW,
             "HITS_ROW": _HITS_ROW,
             "PLACES_ROW": _PLACES_ROW,
             "OBLIQUENESS": OBLIQUENESS,
@@ -147,26 +162,27 @@ class _Tiles:
         for name, value in uniforms.items():
             program[name] = value
         self._mode = context.TRIANGLE_STRIP
-        self._buffer = context.buffer(reserve=16 * most)
+        self._buffer = context.buffer(reserve=20 * most)
         self._vertices = context.vertex_array(
-            program, [(self._buffer, "2i 2i/i", "corner", "candidates")]
+            program, [(self._buffer, "3i 2i/i", "tile", "candidates")]
         )
 
     def draw(self, tiles: Whole) -> None:
-        """Draw tiles (N, 4): column and row, first candidate and the one after the last."""
+        """Draw tiles (N, 5): column, row, number, first candidate and the one after the last."""
         if len(tiles):
             self._buffer.write(np.ascontiguousarray(tiles))
             self._vertices.render(self._mode, vertices=4, instances=len(tiles))
 
 
-def _check_sizes(context: moderngl.Context, rays: Single, sheet: TextureSheet) -> None:
-    rows, columns = sheet.levels[0].shape
+def _check_sizes(context: moderngl.Context, sizes: list[tuple[int, ...]]) -> None:
+    """Refuse textures (rows, columns) that the driver does not allow."""
     most = _most_texels(context)
-    if max(*rays.shape, rows, columns) > most:
-        raise InputError(
-            f"renderer 'gl' needs textures of {columns}x{rows}, this OpenGL driver allows "
-            f"{most}x{most}: use a smaller scene, or renderer 'tiny'"
-        )
+    for rows, columns in sizes:
+        if max(rows, columns) > most:
+            raise InputError(
+                f"renderer 'gl' needs a texture of {columns}x{rows}, this OpenGL driver allows "
+                f"{most}x{most}: use a smaller scene or image, or renderer 'tiny'"
+            )
 
 
 def _most_texels(context: moderngl.Context) -> int:
@@ -176,6 +192,13 @@ def _most_texels(context: moderngl.Context) -> int:
 
 def _source(name: str) -> str:
     return (resources.files("sim") / "shaders" / name).read_text(encoding="utf-8")
+
+
+def _by_blocks(rays: Array) -> Single:
+    """Arrange the rays of tiles (T, side, side, 4), block by block: (T, side², 4)."""
+    count, side = rays.shape[:2]
+    blocks = rays.reshape(count, side // _BLOCK, _BLOCK, side // _BLOCK, _BLOCK, 4).swapaxes(2, 3)
+    return blocks.reshape(count, side * side, 4).astype(np.float32)
 
 
 def _in_rows(entries: Single, length: int) -> Single:

@@ -64,8 +64,8 @@ class GlRenderer(Renderer):
         self._fine = max(1, round(detail))
         rays, spans = _fine_rays(camera, self._fine)
         self._tiles = cut_tiles(rays, spans > 0.0, _TILE)
-        lit = np.concatenate([rays, spans[..., None]], axis=-1).astype(np.float32)
-        self._pass = RayPass(lit, self._tiles.corner, _TILE, world.sheet)
+        lit = np.concatenate([rays, spans[..., None]], axis=-1)
+        self._pass = RayPass(lit, self._tiles, world.sheet)
 
     def render(self, pose: Pose, height_m: float) -> Image:
         """See `Renderer.render`."""

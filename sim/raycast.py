@@ -86,14 +86,22 @@ class Candidates(NamedTuple):
 class Tiles(NamedTuple):
     """Square parts of an image, those without any valid ray left out.
 
+    side : of each (px).
     corner : (T, 2) column and row of the first pixel.
     axis : (T, 3) mean of the tile's rays.
     reach : (T,) largest distance of one of its unit rays from the mean.
     """
 
+    side: int
     corner: NDArray[np.int32]
     axis: Single
     reach: Single
+
+    def gather(self, values: Array) -> Array:
+        """Return values (H, W, K) of the image as (T, side, side, K), zeros beyond its edges."""
+        columns = -(-values.shape[1] // self.side)
+        column, row = (self.corner // self.side).T
+        return np.asarray(_in_tiles(values, self.side)[row * columns + column])
 
     def candidates(self, seen: Seen) -> Candidates:
         """Return which rectangles each tile may show.
@@ -120,21 +128,22 @@ class Tiles(NamedTuple):
 
 def cut_tiles(rays: Array, valid: Mask, side: int) -> Tiles:
     """Cut an image with unit rays (H, W, 3), and whether they count (H, W), into square tiles."""
-    height, width = valid.shape
-    rows, columns = -(-height // side), -(-width // side)
-    margin = ((0, rows * side - height), (0, columns * side - width))
-
-    def by_tile(values: Array) -> Array:
-        # (tiles, pixels of a tile, components)
-        blocks = values.reshape(rows, side, columns, side, -1).swapaxes(1, 2)
-        return blocks.reshape(rows * columns, side * side, -1)
-
-    weight = by_tile(np.pad(valid, margin).astype(np.float64))
-    directions = by_tile(np.pad(np.where(valid[..., None], rays, 0.0), (*margin, (0, 0))))
-    used = np.flatnonzero(weight.any(axis=(1, 2)))
+    weight = _in_tiles(valid[..., None].astype(np.float64), side)
+    directions = _in_tiles(np.where(valid[..., None], rays, 0.0), side)
+    used = np.flatnonzero(weight.any(axis=(1, 2, 3)))
     weight, directions = weight[used], directions[used]
-    axis = directions.sum(axis=1) / weight.sum(axis=1)
-    away = np.linalg.norm(directions - axis[:, None], axis=-1)
-    reach = np.where(weight[..., 0] > 0.0, away, 0.0).max(axis=1)
+    axis = directions.sum(axis=(1, 2)) / weight.sum(axis=(1, 2))
+    away = np.linalg.norm(directions - axis[:, None, None], axis=-1)
+    reach = np.where(weight[..., 0] > 0.0, away, 0.0).max(axis=(1, 2))
+    columns = -(-valid.shape[1] // side)
     corner = side * np.stack([used % columns, used // columns], axis=-1)
-    return Tiles(corner.astype(np.int32), axis.astype(np.float32), reach.astype(np.float32))
+    return Tiles(side, corner.astype(np.int32), axis.astype(np.float32), reach.astype(np.float32))
+
+
+def _in_tiles(values: Array, side: int) -> Array:
+    """Return values (H, W, K) as (tiles, side, side, K), row by row, zeros beyond the edges."""
+    height, width, depth = values.shape
+    rows, columns = -(-height // side), -(-width // side)
+    padded = np.pad(values, ((0, rows * side - height), (0, columns * side - width), (0, 0)))
+    blocks = padded.reshape(rows, side, columns, side, depth).swapaxes(1, 2)
+    return blocks.reshape(rows * columns, side, side, depth)

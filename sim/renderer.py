@@ -2,7 +2,7 @@
 
 `Renderer` is the interface; `BulletRenderer` draws the faces of a `FaceLayout` with PyBullet's
 software renderer or its EGL plugin, in a physics client of its own that holds nothing but the
-scene. Another rasteriser is another subclass.
+scene. `sim.gl_renderer` casts rays instead; `sim.drawers` chooses.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 uniform sampler2D hits;
 uniform sampler2D places;
-// Unit rays in camera axes, and the angle (rad) that the pixel spans; 0 where nothing is seen.
+// Tile by tile, unit rays in camera axes and the angle (rad) that the pixel spans; 0 where nothing
+// is seen.
 uniform sampler2D rays;
 uniform sampler2D sheet;
 
@@ -12,6 +13,7 @@ const float LEAST_COSINE = 0.1;
 flat in vec4 first[3];
 flat in vec4 first_place;
 flat in ivec2 others;
+flat in ivec4 origin;
 
 out float grey;
 
@@ -25,16 +27,30 @@ bool within(vec3 hit) {
     return hit.y >= low && hit.y <= high && hit.z >= low && hit.z <= high;
 }
 
+// Blocks of 4x4 pixels lie together, as rasterisers work on them together.
+ivec2 ray_texel() {
+    ivec2 at = ivec2(gl_FragCoord.xy) - origin.xy;
+    ivec2 block = at >> 2;
+    ivec2 inner = at & 3;
+    return origin.zw + ivec2(16 * (TILE / 4 * block.y + block.x) + 4 * inner.y + inner.x, 0);
+}
+
 void main() {
-    vec4 ray = texelFetch(rays, ivec2(gl_FragCoord.xy), 0);
+    vec4 ray = texelFetch(rays, ray_texel(), 0);
     vec3 nearest = met(first[0], first[1], first[2], ray.xyz);
     float distance = first[0].w;
     float density = first[1].w;
     vec4 place = first_place;
-#if ALONE == 0
+#if COUNT != 1
     nearest = within(nearest) ? nearest : vec3(0.0);
     float number = -1.0;
-    for (int i = others.x; i < others.y; ++i) {
+#if COUNT == 0
+    int further = others.y - others.x;
+#else
+    const int further = COUNT - 1;  // the compiler can do without a loop
+#endif
+    for (int k = 0; k < further; ++k) {
+        int i = others.x + k;
         vec4 a = texelFetch(hits, hit_texel(i, 0), 0);
         vec4 b = texelFetch(hits, hit_texel(i, 1), 0);
         vec4 c = texelFetch(hits, hit_texel(i, 2), 0);

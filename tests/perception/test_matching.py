@@ -20,13 +20,13 @@ def canvas():
 @pytest.fixture(scope="module")
 def target(canvas):
     picture = draw(target_frame(NAME, WIDTH).image, canvas)
-    return picture.image, describe(picture.image, canvas, 1500, MARGIN)
+    return picture, describe(picture.image, canvas, 1500, MARGIN)
 
 
 @pytest.fixture(scope="module")
 def initial(canvas):
     picture = draw(room(NAME, WIDTH).frame(START, 1, noise=2.0).image, canvas)
-    return picture.image, describe(picture.image, canvas, 1500, MARGIN)
+    return picture, describe(picture.image, canvas, 1500, MARGIN)
 
 
 def errors_deg(rays, truth):
@@ -46,8 +46,8 @@ def test_keypoints_are_in_the_field_of_view_spread_and_upright_once(canvas, targ
 
 
 def test_the_same_image_gives_the_same_keypoints(canvas, target):
-    image, described = target
-    again = describe(image, canvas, 1500, MARGIN)
+    picture, described = target
+    again = describe(picture.image, canvas, 1500, MARGIN)
     np.testing.assert_array_equal(again.points, described.points)
     np.testing.assert_array_equal(again.descriptors, described.descriptors)
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from visctrl.geometry.planar import PlanarMotion, refine_planar_motion
-from visctrl.perception.three_view import ThreeViewMap
+from visctrl.perception.three_view import ThreeViewMap, _seen
 
 SIGMA = np.radians(0.05)
 
@@ -118,11 +118,11 @@ def test_the_jacobian_is_that_of_the_prediction():
     initial = (-0.4, -1.5, 0.2)
     map_ = ThreeViewMap(seen(points, (0, 0, 0)), seen(points, initial), motion_to(initial), SIGMA)
     which, pose, step = np.arange(30), np.array([-0.3, -0.6, 0.1]), 1e-6
-    rays = seen(points, (-0.5, -0.9, 0.12))
-    _, J, _ = map_._linearise(which, rays, pose, SIGMA)
+    bearings = _seen(seen(points, (-0.5, -0.9, 0.12)))
+    _, J, _ = map_._linearise(which, bearings, pose, SIGMA)
     for k in range(3):
         change = np.eye(3)[k] * step
-        high, _, _ = map_._linearise(which, rays, pose + change, SIGMA)
-        low, _, _ = map_._linearise(which, rays, pose - change, SIGMA)
+        high, _, _ = map_._linearise(which, bearings, pose + change, SIGMA)
+        low, _, _ = map_._linearise(which, bearings, pose - change, SIGMA)
         # The residual is what is seen minus what is predicted.
         np.testing.assert_allclose(-(high - low) / (2 * step), J[:, :, k], atol=1e-5)

@@ -26,7 +26,7 @@ def test_a_turn_is_followed_however_fast(canvas, turn_deg):
     before = seen(canvas, START)
     after = seen(canvas, START._replace(phi=START.phi + np.radians(turn_deg)))
     columns = canvas.scale * np.radians(turn_deg)
-    assert shift(before, after) == pytest.approx(columns, abs=1.0)
+    assert shift(before, after, canvas) == pytest.approx(columns, abs=1.0)
     points = describe(before.image, canvas, 150, 12).points
     moved, found = follow(before, after, points, canvas)
     expected = canvas.canonical(points + np.array([columns, 0.0]))
@@ -59,7 +59,7 @@ def test_pictures_that_have_nothing_in_common_do_not_pull_the_search_away(canvas
         draw(rng.integers(0, 255, (camera.height, camera.width)).astype(np.uint8), canvas)
         for _ in range(2)
     )
-    assert shift(one, other) == 0.0
+    assert shift(one, other, canvas) == 0.0
 
 
 def test_what_has_changed_does_not_track_back(canvas):

@@ -97,13 +97,16 @@ def test_other_schemes_have_nothing_to_judge(tmp_path: Path) -> None:
         ({"controller.lambda_x": 20.0}, "must be under 2/Ts = 20"),
         ({"controller.lambda_y": 4.0, "rate_hz": 2.0}, "must be under 2/Ts = 4"),
         ({"controller.lambda_x": 0.0}, "greater than 0"),
-        ({"controller.obstacles": [{"x_m": 0.2, "y_m": 0.3}]}, "the target is 0.06 m from"),
+        (
+            {"obstacles": [{"name": "listed", "discs": [{"x_m": 0.3, "y_m": 0.3}]}]},
+            "the target leaves 0.0[0-9] m to the one at .0.3, 0.3. m",
+        ),
         (
             {
-                "controller.obstacles": [{"x_m": 2.0, "y_m": -1.0}],
+                "obstacles": [{"name": "listed", "discs": [{"x_m": 2.0, "y_m": -1.0}]}],
                 "controller.goals": [{"x_m": 2.1, "y_m": -1.0}],
             },
-            "goals.0 is 0.00 m from",
+            "controller.goals.0 leaves 0.00 m",
         ),
     ],
 )

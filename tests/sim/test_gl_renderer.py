@@ -86,6 +86,13 @@ def test_no_ray_slips_through(camera: CentralCamera) -> None:
         view.close()
 
 
+def test_where_there_is_nothing_it_is_black(small: GlRenderer) -> None:
+    """Far from the room, no rectangle is seen; nothing of the picture before is left."""
+    assert small.render(POSES[0], HEIGHT_M).any()
+    nowhere = small.render(Pose(0.0, 500.0, 0.0), HEIGHT_M)
+    assert not nowhere.any()
+
+
 def test_more_rays_a_pixel_come_nearer_to_the_truth(small: GlRenderer) -> None:
     finest, finer = (GlRenderer(ROOM, SMALL, detail) for detail in (4.0, 2.0))
     truth, better = (view.render(POSES[0], HEIGHT_M).astype(float) for view in (finest, finer))
@@ -148,7 +155,7 @@ def test_a_closed_one_says_so_and_many_may_be_opened_in_turn() -> None:
 
 def test_a_scene_too_large_for_the_driver_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim.gl_pass._most_texels", lambda context: 1024)
-    with pytest.raises(InputError, match=r"allows 1024x1024: use a smaller scene, or renderer"):
+    with pytest.raises(InputError, match=r"allows 1024x1024: use a smaller scene or image"):
         GlRenderer(ROOM, SMALL)
 
 

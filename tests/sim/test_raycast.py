@@ -59,10 +59,17 @@ def lists(found: Candidates, seen: Seen) -> list[set[int]]:
 @cameras
 def test_tiles_hold_every_valid_pixel_once_and_its_ray_within_reach(camera: CentralCamera) -> None:
     tiles, rays, valid = cut(camera)
+    gathered = tiles.gather(np.where(valid[..., None], rays, 0.0))
+    assert gathered.shape == (len(tiles.axis), SIDE, SIDE, 3)
     covered = np.zeros(valid.shape, dtype=int)
-    for (column, row), axis, reach in zip(tiles.corner, tiles.axis, tiles.reach, strict=True):
+    for k, ((column, row), axis, reach) in enumerate(
+        zip(tiles.corner, tiles.axis, tiles.reach, strict=True)
+    ):
         here = np.s_[row : row + SIDE, column : column + SIDE]
         covered[here] += 1
+        rows, columns = covered[here].shape
+        shown_here = np.where(valid[here][..., None], rays[here], 0.0)
+        assert np.array_equal(gathered[k, :rows, :columns], shown_here)
         mine = rays[here][valid[here]]
         assert len(mine)
         assert np.linalg.norm(mine - axis, axis=-1).max() <= reach + 1e-6

@@ -83,7 +83,7 @@ def test_workers_keep_to_one_thread_and_leave_the_callers_environment() -> None:
     before = dict(os.environ)
     names = list(ONE_THREAD)
     [(_, values)] = LocalWorkers(1).each(study_work.environment, [names])
-    assert values == ["1"] * len(names)
+    assert values == list(ONE_THREAD.values())
     assert dict(os.environ) == before
 
 

@@ -38,9 +38,7 @@ class CommandShaper:
         """Return the velocity within its bounds, and the factor ≤ 1 that brought it there."""
         if self._limits is None:
             return wanted, 1.0
-        excess = max(
-            1.0, abs(wanted.v) / self._limits.v_m_s, abs(wanted.omega) / self._limits.omega_rad_s
-        )
+        excess = max(1.0, self._limits.ratio(*wanted))
         return Velocity(wanted.v / excess, wanted.omega / excess), 1.0 / excess
 
     def command(self, wanted: Velocity, dt: float) -> Velocity:

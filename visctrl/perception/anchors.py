@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.perception.landmarks import ALIKE, Landmarks
-from visctrl.perception.patches import Values
+from visctrl.perception.patches import Source
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -18,8 +18,9 @@ Mask = NDArray[np.bool_]
 REACH_PX = 2.5
 # Patches stretched by more than this, either way, are not compared.
 _MAX_STRETCH = 2.5
-# A view that weighs less than this against the other is left out, but asked again this often.
-_WORTH, _ASK_AGAIN = 0.1, 8
+# A view that weighs less than this against the other is left out, but asked again this often (a
+# prime, as a tick may call more than once).
+_WORTH, _ASK_AGAIN = 0.03, 7
 
 
 @dataclass(frozen=True)
@@ -39,58 +40,45 @@ class Anchors:
     """
 
     def __init__(self, landmarks: Landmarks) -> None:
-        self._landmarks = landmarks
-        self._views = (landmarks.target_patches, landmarks.initial_patches)
-        self._warps = np.zeros((2, len(landmarks), 2, 2))
+        self._map = landmarks.map
+        self._patches = landmarks.patches
+        # Of each patch; the weights by views.
+        self._warps = np.zeros((2 * len(landmarks), 2, 2))
         self._weights = np.zeros((2, len(landmarks)))
         self._calls = 0
-        self.expect(np.arange(len(landmarks)), landmarks.map.initial_pose)
+        self.expect(np.arange(len(landmarks)), self._map.initial_pose)
 
     def expect(self, which: Indices, pose: Array) -> Array:
         """Set the warps that a pose of the current view suggests; return the rays expected."""
-        rays, scale = self._landmarks.map.predict(which, pose)
-        _, initially = self._landmarks.map.predict(which, self._landmarks.map.initial_pose)
-        self._warps[0, which] = np.eye(2) * scale[:, None, None]
-        self._warps[1, which] = np.eye(2) * (scale / initially)[:, None, None]
+        rays, scale = self._map.predict(which, pose)
+        _, initially = self._map.predict(which, self._map.initial_pose)
+        self._warps[which] = np.eye(2) * scale[:, None, None]
+        self._warps[len(self._map) + which] = np.eye(2) * (scale / initially)[:, None, None]
         return rays
 
-    def hold(self, image: Values, which: Indices, points: Array, iterations: int) -> Anchored:
-        """Align landmarks (M,) expected at points (M, 2) of an image (see `prepared`).
+    def hold(self, source: Source, which: Indices, points: Array, iterations: int) -> Anchored:
+        """Align landmarks (M,) expected at points (M, 2) of an image.
 
         The view that said next to nothing about a landmark is asked about it again only once in
         a while.
         """
-        total = np.zeros(len(which))
-        place = np.zeros_like(points)
+        said = self._weights[:, which]
         due = (which + self._calls) % _ASK_AGAIN == 0
         self._calls += 1
-        worth = [self._weights[v, which] >= _WORTH * self._weights[1 - v, which] for v in (0, 1)]
-        for view in (0, 1):
-            asked = np.flatnonzero(worth[view] | due)
-            found, weight = self._align(view, image, which[asked], points[asked], iterations)
-            place[asked] += weight[:, None] * found
-            total[asked] += weight
-        held = total > 0.0
-        place /= np.where(held, total, 1.0)[:, None]
-        return Anchored(np.where(held[:, None], place, points), held)
-
-    def _align(
-        self,
-        view: int,
-        image: Values,
-        which: Indices,
-        points: Array,
-        iterations: int,
-    ) -> tuple[Array, Array]:
-        """Return places (M, 2) by one view and their weights (M,), 0 where not to be trusted."""
-        start = self._warps[view, which]
-        found = self._views[view].align(image, which, points, start, iterations)
-        moved = np.linalg.norm(found.points - points, axis=-1)
+        view, track = np.nonzero((said >= _WORTH * said[::-1]) | due)
+        number, start = view * len(self._map) + which[track], points[track]
+        found = self._patches.align(source, number, start, self._warps[number], iterations)
+        moved = np.linalg.norm(found.points - start, axis=-1)
         good = (found.score > ALIKE) & (moved < REACH_PX) & _sane(found.warps)
-        self._warps[view, which[good]] = found.warps[good]
-        weights = np.where(good, 1.0 / (1.02 - found.score) ** 2, 0.0)
-        self._weights[view, which] = weights
-        return found.points, weights
+        self._warps[number[good]] = found.warps[good]
+        weight, place = np.zeros(said.shape), np.zeros((*said.shape, 2))
+        weight[view, track] = np.where(good, 1.0 / (1.02 - found.score) ** 3, 0.0)
+        place[view, track] = found.points
+        self._weights.flat[number] = weight[view, track]
+        total = weight.sum(axis=0)
+        held = total > 0.0
+        mean = (weight[..., None] * place).sum(axis=0) / np.where(held, total, 1.0)[:, None]
+        return Anchored(np.where(held[:, None], mean, points), held)
 
 
 def _sane(warps: Array) -> Mask:

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from visctrl.geometry.planar import PlanarMotion, refine_planar_motion, sampson_residuals
 from visctrl.perception.matching import Described, mutual_matches, planar_inliers
-from visctrl.perception.patches import Patches, prepared
+from visctrl.perception.patches import Patches, Source
+from visctrl.perception.pictures import Picture
 from visctrl.perception.three_view import Fit, ThreeViewMap
 from visctrl.perception.unwrap import Canvas
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
@@ -23,6 +23,8 @@ ALIKE = 0.8
 # Standard deviation of a position after alignment (px), and what SIFT may be off by.
 _ALIGNED_SIGMA_PX = 0.2
 _MAX_CORRECTION_PX = 3.0
+# Step (px) at which that alignment, done once for the whole run, ends.
+_SETTLED_PX = 0.005
 _GATE_SIGMAS = 4.0
 
 
@@ -36,8 +38,8 @@ class Landmarks:
 
     target: Described
     initial: Described
-    target_patches: Patches
-    initial_patches: Patches
+    #: The target view's patches, then the initial view's.
+    patches: Patches
     map: ThreeViewMap
     #: (N,) correlation of the two views' patches.
     likeness: Array
@@ -68,8 +70,8 @@ class Shared:
 
 
 def find_landmarks(
-    target: tuple[Grey, Described],
-    initial: tuple[Grey, Described],
+    target: tuple[Picture, Described],
+    initial: tuple[Picture, Described],
     canvas: Canvas,
     minimum: int,
     seed: int,
@@ -79,7 +81,8 @@ def find_landmarks(
     The initial positions are then aligned on the target's patches, to a tenth of a pixel where
     the two look alike, and judged once more.
     """
-    (target_image, a), (initial_image, b) = target, initial
+    (_, a), (_, b) = target, initial
+    at_target, at_start = (Source(view.frame, canvas.pixels) for view, _ in (target, initial))
     first, second = mutual_matches(a, b)
     a, b = a.subset(first), b.subset(second)
     motion = planar_inliers(a.rays, b.rays, canvas, seed)
@@ -87,9 +90,9 @@ def find_landmarks(
     if kept.sum() < minimum:
         return Shared(len(first), int(kept.sum()), None)
     a, b = a.subset(kept), b.subset(kept)
-    patches = Patches(target_image, a.points)
+    patches = Patches((at_target, a.points))
     warps = np.eye(2) * (b.sizes / a.sizes)[:, None, None]
-    found = patches.align(prepared(initial_image), np.arange(len(a)), b.points, warps, 12)
+    found = patches.align(at_start, np.arange(len(a)), b.points, warps, 12, _SETTLED_PX)
     moved = np.linalg.norm(found.points - b.points, axis=-1)
     good = (found.score > ALIKE) & (moved < _MAX_CORRECTION_PX)
     points = np.where(good[:, None], found.points, b.points)
@@ -101,8 +104,7 @@ def find_landmarks(
     landmarks = Landmarks(
         a,
         b,
-        Patches(target_image, a.points),
-        Patches(initial_image, b.points),
+        Patches((at_target, a.points), (at_start, b.points)),
         ThreeViewMap(a.rays, b.rays, motion, _ALIGNED_SIGMA_PX / canvas.scale),
         np.where(good, found.score, 0.0)[agree],
     )

@@ -52,7 +52,7 @@ class NaturalPerception(Perception[NaturalT]):
     def __init__(self, options: NaturalT, context: Context) -> None:
         super().__init__(options, context)
         self.canvas: Canvas = canvas_for(context.camera, options.px_per_rad)
-        self._target: tuple[Grey, Described] | None = None
+        self._target: tuple[Picture, Described] | None = None
         self._landmarks: Landmarks | None = None
         self._last: tuple[int, Views] | None = None
 
@@ -70,7 +70,7 @@ class NaturalPerception(Perception[NaturalT]):
                 f"the target image has {len(described)} features, {self.options.min_matches} are "
                 "needed: choose a target that sees more texture, or sharpen and light it better"
             )
-        self._target = picture.image, described
+        self._target = picture, described
         self._landmarks = None
 
     def set_initial(self, frame: Frame) -> Match:
@@ -81,7 +81,7 @@ class NaturalPerception(Perception[NaturalT]):
         picture = draw(checked(frame, camera, "the initial image"), self.canvas)
         if picture.blank:
             raise InputError(f"the initial image {picture.complaint}")
-        initial = picture.image, self._describe(picture.image)
+        initial = picture, self._describe(picture.image)
         needed = self.options.min_matches
         shared = find_landmarks(self._target, initial, self.canvas, needed, self.context.seed)
         if shared.landmarks is None:

@@ -8,6 +8,7 @@ intensities normalised to zero mean and unit norm, so that gain and offset do no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -15,14 +16,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 Grey = NDArray[np.uint8]
-Values = NDArray[np.float32]
+Indices = NDArray[np.intp]
 
-#: Half the side of a patch (px); the patch has 2·7 + 1 pixels a side.
-HALF = 7
+#: Half the side of a patch (px); the patch has 2·6 + 1 pixels a side.
+HALF = 6
 # Damping of the affine part, against the information of a well textured patch of about 4: what
 # the texture says little about stays as it was.
-_AFFINE_DAMPING = 0.1
+_DAMPING = np.array([1e-9, 0.1, 0.1] * 2)
+# Step (px) after which the next would be smaller than the noise.
+_SETTLED_PX = 0.08
+# Deviation (grey levels) up to which a patch counts as flat.
+_FLAT = np.float32(0.5)
+# Longest step of an iteration: of the place (px) and of the warp.
+_LONGEST = np.array([1.5, 0.15, 0.15])
+
+_side = np.arange(-HALF, HALF + 1, dtype=np.float64)
+# Offsets (2, S) of a patch's pixels from its centre.
+_OFFSETS = np.stack([across.ravel() for across in np.meshgrid(_side, _side)])
+_WEIGHTS = np.exp(-(_OFFSETS**2).sum(axis=0) / (2 * (0.85 * HALF) ** 2))
+_WEIGHTS = (_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
+_ROOT = np.sqrt(_WEIGHTS)
+# What a gradient is summed with: 1 for the place, the offsets for the warp (S, 3).
+_MOMENTS = np.stack([np.ones_like(_WEIGHTS), *_OFFSETS.astype(np.float32)], axis=1)
+# Nine places (2, 9) of a patch, and the quadratic interpolation (9, S) from them.
+_t = _side / HALF
+_lagrange = np.stack([_t * (_t - 1.0) / 2.0, 1.0 - _t**2, _t * (_t + 1.0) / 2.0])
+_NINE = HALF * np.stack([n.ravel() for n in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])])
+_BETWEEN = np.einsum("ir,jc->ijrc", _lagrange, _lagrange).reshape(9, -1).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Source:
+    """An image that patches are taken from.
+
+    image : (rows, columns) uint8.
+    pixels : callable
+        Returns at which of its columns and rows (N, M) lie the columns and rows (N, M) of the
+        points that patches are made of.
+    """
+
+    image: Grey
+    pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]
+
+    def sample(self, points: Array, warps: Array) -> Floats:
+        """Return the grey levels (N, S) under warped patches.
+
+        The map is followed exactly at nine places of a patch, quadratically between them.
+        """
+        nine = (points[:, :, None] + warps @ _NINE).astype(np.float32)
+        x, y = (across @ _BETWEEN for across in self.pixels(nine[:, 0], nine[:, 1]))
+        grey = cv2.remap(self.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(grey, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -40,108 +86,92 @@ class Alignment:
 
 
 class Patches:
-    """Patches cut from one reference image, ready to be aligned in others.
+    """Patches cut from reference images, ready to be aligned in others.
 
     Parameters
     ----------
-    image : (rows, columns) uint8
-    points : (N, 2) centres, sub-pixel.
+    *views : (source, points)
+        Images and the centres (N, 2), sub-pixel, of the patches to cut from each; the numbers of
+        a view's patches follow those of the view before.
     """
 
-    def __init__(self, image: Grey, points: Array) -> None:
-        self.points = np.asarray(points, dtype=np.float64)
-        side = np.arange(-HALF, HALF + 1, dtype=np.float64)
-        dy, dx = np.meshgrid(side, side, indexing="ij")
-        self._offsets = np.stack([dx.ravel(), dy.ravel()])
-        self._weights = np.exp(-(self._offsets**2).sum(axis=0) / (2 * (0.6 * HALF) ** 2))
-        self._weights /= self._weights.sum()
-        self._root = np.sqrt(self._weights).astype(np.float32)
-        self._build(prepared(image))
-
-    def _build(self, image: Values) -> None:
-        """Prepare the normalised templates and the normal equations of each patch."""
-        n = len(self.points)
-        eye = np.broadcast_to(np.eye(2), (n, 2, 2))
-        grey = self._sample(image, self.points, eye)
-        self._template, norm = self._normalised(grey)
-        step = np.array([[0.5, 0.0], [0.0, 0.5]])
-        after = (self._sample(image, self.points + shift, eye) for shift in step)
-        before = (self._sample(image, self.points - shift, eye) for shift in step)
-        gx, gy = (self._root * (b - a) / norm for a, b in zip(before, after, strict=True))
-        dx, dy = self._offsets.astype(np.float32)
-        steepest = np.stack([gx, gy, gx * dx, gx * dy, gy * dx, gy * dy], axis=1)
-        # What a change of offset or gain explains is none of the warp's business.
-        steepest -= (steepest @ self._root)[..., None] * self._root
-        along = np.einsum("nks,ns->nk", steepest, self._template)
-        steepest -= along[..., None] * self._template[:, None]
-        self._steepest = steepest
-        normal = np.einsum("nks,nls->nkl", steepest, steepest).astype(np.float64)
-        normal[:, [2, 3, 4, 5], [2, 3, 4, 5]] += _AFFINE_DAMPING
-        normal[:, [0, 1], [0, 1]] += 1e-9
-        self._inverse = np.linalg.inv(normal).astype(np.float32)
+    def __init__(self, *views: tuple[Source, Array]) -> None:
+        rows, solve = zip(*(_cut(source, points) for source, points in views), strict=True)
+        self._rows, self._solve = np.concatenate(rows), np.concatenate(solve)
 
     def align(
         self,
-        image: Values,
-        which: NDArray[np.intp],
+        source: Source,
+        which: Indices,
         points: Array,
         warps: Array,
-        iterations: int = 4,
+        iterations: int,
+        settled_px: float = _SETTLED_PX,
     ) -> Alignment:
         """Align some patches with an image.
 
         Parameters
         ----------
-        image : (rows, columns) float32
-            The image searched, through `prepared`.
+        source : Source
+            The image searched.
         which : (M,) numbers of the patches.
         points : (M, 2), warps : (M, 2, 2)
             Where to start.
         iterations : int
+            At most.
+        settled_px : float
+            A patch whose step is shorter is left alone.
 
         Returns
         -------
         Alignment
             Of the M patches, in their order. A patch that was led astray has a low score.
         """
-        if len(which) == 0:
-            return Alignment(points, warps, np.zeros(0))
-        points, warps = points.copy(), warps.copy()
-        template = self._template[which]
-        steepest, inverse = self._steepest[which], self._inverse[which]
-        error = np.zeros_like(template)
+        points, warps, score = points.copy(), warps.copy(), np.zeros(len(which))
+        moving = np.arange(len(which))
         for _ in range(iterations):
-            error = self._normalised(self._sample(image, points, warps))[0] - template
-            step = np.einsum("nkl,nl->nk", inverse, np.einsum("nks,ns->nk", steepest, error))
-            step = np.clip(step, [[-1.5] * 2 + [-0.15] * 4], [[1.5] * 2 + [0.15] * 4])
-            warps = warps @ _inverse(np.eye(2) + step[:, 2:].reshape(-1, 2, 2))
-            points -= np.einsum("nij,nj->ni", warps, step[:, :2])
-        # The last step is too small to be worth another look.
-        return Alignment(points, warps, 1.0 - 0.5 * (error**2).sum(axis=1).astype(np.float64))
-
-    def _sample(self, image: Values, points: Array, warps: Array) -> Values:
-        """Return the grey levels (N, S) under the warped patches."""
-        at = points[:, :, None] + warps @ self._offsets
-        xy = at.astype(np.float32)
-        return np.asarray(
-            cv2.remap(image, xy[:, 0], xy[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-            dtype=np.float32,
-        )
-
-    def _normalised(self, grey: Values) -> tuple[Values, Values]:
-        """Return the patches (N, S), weighted, of zero mean and unit norm, and their norms."""
-        centred = (grey - (grey @ self._weights.astype(np.float32))[:, None]) * self._root
-        norm = np.sqrt((centred**2).sum(axis=1, keepdims=True)) + np.float32(0.5)
-        return centred / norm, norm
+            if len(moving) == 0:
+                break
+            number, warp = which[moving], warps[moving]
+            centred, deviation = _centred(source.sample(points[moving], warp))
+            # Of the gradients and the template with the grey levels; of the last only the first.
+            moments = (self._rows[number] * centred[:, None]).reshape(-1, len(_WEIGHTS)) @ _MOMENTS
+            moments = (moments.reshape(-1, 9)[:, :7] / deviation)[:, :, None]
+            step = (self._solve[number] @ moments).reshape(-1, 2, 3)
+            step = np.clip(step, -_LONGEST, _LONGEST)
+            score[moving] = moments[:, 6, 0]
+            # To first order, the inverse of the step before the warp.
+            warps[moving] = warp = warp - warp @ step[:, :, 1:]
+            points[moving] -= (warp @ step[:, :, :1])[:, :, 0]
+            moving = moving[(step[:, :, 0] ** 2).sum(axis=1) > settled_px**2]
+        return Alignment(points, warps, score)
 
 
-def _inverse(A: Array) -> Array:
-    """Return the inverses of matrices (N, 2, 2)."""
-    (a, b), (c, d) = A[:, 0].T, A[:, 1].T
-    adjugate = np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2)
-    return np.asarray(adjugate / (a * d - b * c)[:, None, None], dtype=np.float64)
+def _cut(source: Source, points: Array) -> tuple[Floats, Array]:
+    """Return what patches at points (N, 2) are aligned by.
+
+    rows : (N, 3, S) the two gradients and the template, times the weights of the pixels.
+    solve : (N, 6, 7) what a step is made with of the moments of the gradients (6) and of the
+        template (1) with the grey levels seen.
+    """
+    eye = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+    centred, deviation = _centred(source.sample(points, eye))
+    across, down = (
+        source.sample(points + step, eye) - source.sample(points - step, eye)
+        for step in np.eye(2) / 2.0
+    )
+    rows = np.stack([across, down, centred], axis=1) / deviation[:, None] * _WEIGHTS
+    steepest = rows[:, :2, None] / _ROOT * _MOMENTS.T
+    steepest = steepest.reshape(len(points), 6, -1).astype(np.float64)
+    # What a change of offset or gain explains is none of the warp's business.
+    template = rows[:, 2] / _ROOT
+    by_gain = steepest @ template[:, :, None]
+    steepest -= (steepest @ _ROOT)[:, :, None] * _ROOT + by_gain * template[:, None]
+    inverse = np.linalg.inv(steepest @ steepest.transpose(0, 2, 1) + np.diag(_DAMPING))
+    return rows, np.concatenate([inverse, -inverse @ by_gain], axis=2)
 
 
-def prepared(image: Grey) -> Values:
-    """Return an image ready for `Patches.align`: float, and a little smoothed."""
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), 0.8).astype(np.float32), dtype=np.float32)
+def _centred(grey: Floats) -> tuple[Floats, Floats]:
+    """Return patches (N, S) less their means, and their standard deviations (N, 1)."""
+    centred = grey - (grey @ _WEIGHTS)[:, None]
+    return centred, np.sqrt(np.maximum((centred * centred) @ _WEIGHTS, _FLAT**2))[:, None]

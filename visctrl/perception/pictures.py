@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from hal.central_camera import CentralCamera
 from hal.errors import InputError
 from hal.types import Frame
-from visctrl.perception.unwrap import COARSENESS, Canvas
+from visctrl.perception.unwrap import Canvas, shrunk
 
 Grey = NDArray[np.uint8]
 
@@ -26,17 +27,26 @@ _SAME_POSE_CORRELATION = 0.7
 
 @dataclass(frozen=True)
 class Picture:
-    """A frame drawn on the canvas, at standard brightness and contrast.
+    """A frame and how it is drawn on the canvas, at standard brightness and contrast.
 
-    image : (rows, columns) uint8.
-    coarse : the frame as it came, at a quarter of the size, float32.
+    frame : the camera's image as it came.
+    small : (rows, columns) uint8, drawn at a size less by `Canvas.shrink`.
+    coarse : the small picture as it came, float32, less again by `Canvas.coarseness`.
     mean, contrast : of the frame as it came, within the field of view (grey levels).
     """
 
-    image: Grey
+    frame: Grey
+    small: Grey
     coarse: NDArray[np.float32]
     mean: float
     contrast: float
+    _canvas: Canvas
+    _levels: Grey
+
+    @cached_property
+    def image(self) -> Grey:
+        """The picture at full size, (rows, columns) uint8; drawn when it is first asked for."""
+        return np.asarray(cv2.LUT(self._canvas.warp(self.frame), self._levels), dtype=np.uint8)
 
     @property
     def blank(self) -> bool:
@@ -57,18 +67,15 @@ def draw(image: Grey, canvas: Canvas) -> Picture:
 
     Lucas–Kanade compares grey levels, so that a change of exposure would look like motion.
     """
-    warped = canvas.warp(image)
+    drawn = canvas.small(image)
     # Averaged over blocks of pixels, sensor noise no longer passes for contrast.
-    field = canvas.coarse_field
-    rows, columns = field.shape
-    whole = warped[: COARSENESS * rows, : COARSENESS * columns]
-    coarse = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
-    average, deviation = cv2.meanStdDev(coarse, mask=field)
+    coarse = shrunk(drawn, canvas.coarseness)
+    average, deviation = cv2.meanStdDev(coarse, mask=canvas.coarse_field)
     mean, contrast = float(average.item()), float(deviation.item())
     gain = _SD / max(contrast, _BLANK_SD)
     levels = np.clip(np.rint(_MEAN + gain * (np.arange(256) - mean)), 0, 255).astype(np.uint8)
-    image = np.asarray(cv2.LUT(warped, levels), dtype=np.uint8)
-    return Picture(image, coarse.astype(np.float32), mean, contrast)
+    small = np.asarray(cv2.LUT(drawn, levels), dtype=np.uint8)
+    return Picture(image, small, coarse.astype(np.float32), mean, contrast, canvas, levels)
 
 
 def checked(frame: Frame, camera: CentralCamera, what: str) -> Grey:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from visctrl.perception.anchors import Anchors
 from visctrl.perception.landmarks import Landmarks, Recognised
 from visctrl.perception.natural import MARGIN_PX
-from visctrl.perception.patches import Values, prepared
+from visctrl.perception.patches import Source
 from visctrl.perception.pictures import Picture
 from visctrl.perception.reacquisition import Reacquisition
 from visctrl.perception.selection import spread
@@ -94,7 +94,7 @@ class Pursuit:
         every = np.arange(len(landmarks))
         self._tracks = self._chosen(Tracks(every, landmarks.initial.points))
         self._at_start = len(self._tracks)
-        self._pose = landmarks.map.initial_pose
+        self._pose, self._motion = landmarks.map.initial_pose, np.zeros(3)
         self._sigma = _SIGMA_PX / canvas.scale
         self._turn = 0
 
@@ -109,16 +109,17 @@ class Pursuit:
 
     def advance(self, picture: Picture) -> Sighting:
         """Find the landmarks in the next picture."""
-        values = prepared(picture.image)
-        tracks = self._followed(picture, values)
-        fit = self._fit(tracks, self._pose)
+        source = Source(picture.frame, self._canvas.pixels)
+        tracks = self._followed(picture, source)
+        fit = self._fit(tracks, self._pose + self._motion)
         found = self._search.take(picture)
         restarted = found is not None and not self._trusted(fit)
         if found is not None and restarted:
-            tracks, fit = self._restarted(values, found)
+            tracks, fit = self._restarted(source, found)
         trusted, before = self._trusted(fit), 0 if restarted else int(fit.inliers.sum())
         if trusted:
-            tracks = self._mended(values, tracks, fit, found)
+            self._motion = np.zeros(3) if restarted else fit.pose - self._pose
+            tracks = self._mended(source, tracks, fit, found)
         self._tracks, self._picture = tracks, picture
         if not trusted or len(tracks) < self._limits.refill_share * self._at_start:
             self._search.start(picture)
@@ -127,7 +128,7 @@ class Pursuit:
         agree, of = int(fit.inliers.sum()), len(fit.inliers)
         return Sighting(Tracks.none(), 0, f"only {agree} of {of} tracks agree with one motion")
 
-    def _followed(self, picture: Picture, values: Values) -> Tracks:
+    def _followed(self, picture: Picture, source: Source) -> Tracks:
         """Return the tracks in a new picture, without those that are lost.
 
         To recognise a fixed view's patch proves more than to track back; only the others have
@@ -136,7 +137,7 @@ class Pursuit:
         before = self._tracks
         moved, kept = follow(self._picture, picture, before.points, self._canvas)
         kept &= self._canvas.inside(moved, MARGIN_PX)
-        tracks = self._held(values, Tracks(before.which[kept], moved[kept]), _TRACKING)
+        tracks = self._held(source, Tracks(before.which[kept], moved[kept]), _TRACKING)
         doubtful = np.flatnonzero(kept)[~tracks.held]
         stays = tracks.held.copy()
         stays[~stays] = returns(
@@ -149,28 +150,28 @@ class Pursuit:
         )
         return tracks.subset(stays)
 
-    def _restarted(self, values: Values, found: Recognised) -> tuple[Tracks, Fit]:
+    def _restarted(self, source: Source, found: Recognised) -> tuple[Tracks, Fit]:
         """Return tracks of landmarks that were recognised, and how well they agree."""
         self._anchors.expect(found.which, found.fit.pose)
         tracks = self._chosen(Tracks(found.which, found.points))
-        tracks = self._held(values, tracks, _SEARCHING).only_held()
+        tracks = self._held(source, tracks, _SEARCHING).only_held()
         return tracks, self._fit(tracks, found.fit.pose)
 
-    def _mended(self, values: Values, tracks: Tracks, fit: Fit, found: Recognised | None) -> Tracks:
+    def _mended(self, source: Source, tracks: Tracks, fit: Fit, found: Recognised | None) -> Tracks:
         """Return the tracks that agree, and lost landmarks found again."""
         self._pose = fit.pose
         self._learn_sigma(fit)
         tracks = tracks.subset(fit.inliers)
         if found is not None:
             back = Tracks(found.which, found.points).without(tracks)
-            tracks = tracks.joined(self._agreeing(values, back, len(tracks)))
-        return tracks.joined(self._agreeing(values, self._expected(tracks), len(tracks)))
+            tracks = tracks.joined(self._agreeing(source, back, len(tracks)))
+        return tracks.joined(self._agreeing(source, self._expected(tracks), len(tracks)))
 
     def _expected(self, tracks: Tracks) -> Tracks:
         """Return some landmarks that are not tracked, where the motion puts them."""
-        missing = np.setdiff1d(np.arange(len(self._map)), tracks.which)
-        if len(missing) == 0 or len(tracks) >= self._limits.max_features:
+        if len(tracks) >= min(self._limits.max_features, len(self._map)):
             return Tracks.none()
+        missing = np.setdiff1d(np.arange(len(self._map)), tracks.which)
         # A different part of them every tick, so that all have their turn.
         sought = np.roll(missing, -self._turn)[:_SOUGHT]
         self._turn = (self._turn + _SOUGHT) % len(missing)
@@ -178,12 +179,14 @@ class Pursuit:
         seen = self._canvas.inside(points, MARGIN_PX)
         return Tracks(sought[seen], points[seen])
 
-    def _agreeing(self, values: Values, tracks: Tracks, present: int) -> Tracks:
+    def _agreeing(self, source: Source, tracks: Tracks, present: int) -> Tracks:
         """Return the tracks that look like their landmarks and agree with the motion.
 
         ``present`` tracks there are already.
         """
-        tracks = self._held(values, tracks, _SEARCHING).only_held()
+        if len(tracks) == 0:
+            return tracks
+        tracks = self._held(source, tracks, _SEARCHING).only_held()
         rays = self._canvas.rays(tracks.points)
         agree = self._map.agree(tracks.which, rays, self._pose, self._gate_sigma)
         room = max(self._limits.max_features - present, 0)
@@ -195,9 +198,9 @@ class Pursuit:
         chosen = spread(tracks.points, quality, self._limits.max_features, shape)
         return tracks.subset(np.sort(chosen))
 
-    def _held(self, values: Values, tracks: Tracks, iterations: int) -> Tracks:
+    def _held(self, source: Source, tracks: Tracks, iterations: int) -> Tracks:
         """Return the tracks aligned on the fixed views where these are recognised."""
-        anchored = self._anchors.hold(values, tracks.which, tracks.points, iterations)
+        anchored = self._anchors.hold(source, tracks.which, tracks.points, iterations)
         return Tracks(tracks.which, self._canvas.canonical(anchored.points), anchored.held)
 
     def _fit(self, tracks: Tracks, start: Array) -> Fit:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,12 +20,14 @@ from hal.central_camera import CentralCamera
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 Grey = NDArray[np.uint8]
 
 #: Columns repeated beyond the seam, so that no window or pyramid level meets an edge there.
 SEAM_PADDING_PX = 80
-#: Side (px) of the blocks of pixels that a coarse picture averages.
-COARSENESS = 4
+# Pixels of a small picture, about: enough to follow motion by, if not to measure it; and of a
+# coarse one, which shows the turn of the robot.
+_SMALL_PIXELS, _COARSE_PIXELS = 33_000, 5_000
 #: Steeper features are near the robot or overhead: badly stretched, and useless for a bearing.
 MAX_ELEVATION_DEG = 45.0
 
@@ -47,16 +50,36 @@ class Canvas(ABC):
     field: Grey
     mask: Grey
 
+    @cached_property
+    def shrink(self) -> int:
+        """Side (px) of the squares of the canvas that are one pixel of its small picture."""
+        return max(1, math.isqrt(self.shape[0] * self.shape[1] // _SMALL_PIXELS))
+
+    @cached_property
+    def coarseness(self) -> int:
+        """Side (px) of the squares of a small picture that are one pixel of the coarse one."""
+        pixels = self.shape[0] * self.shape[1] / self.shrink**2
+        return max(1, round(math.sqrt(pixels / _COARSE_PIXELS)))
+
     @abstractmethod
     def warp(self, image: Grey) -> Grey:
         """Return the camera's image drawn on this canvas."""
 
+    @abstractmethod
+    def small(self, image: Grey) -> Grey:
+        """Return the camera's image drawn on this canvas at a size less by `shrink`."""
+
     @cached_property
     def coarse_field(self) -> Grey:
-        """The field of the coarse picture (see `COARSENESS`)."""
-        size = (self.shape[1] // COARSENESS, self.shape[0] // COARSENESS)
-        whole = self.field[: COARSENESS * size[1], : COARSENESS * size[0]]
+        """The field of the coarse picture."""
+        side = self.shrink * self.coarseness
+        size = (self.shape[1] // side, self.shape[0] // side)
+        whole = self.field[: side * size[1], : side * size[0]]
         return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+
+    @abstractmethod
+    def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+        """Return the columns and rows (N, M) in the image of canvas points or some beside it."""
 
     @abstractmethod
     def rays(self, points: ArrayLike) -> Array:
@@ -94,6 +117,14 @@ class FlatCanvas(Canvas):
         """Return the image itself."""
         return image
 
+    def small(self, image: Grey) -> Grey:
+        """Return the image, smaller."""
+        return shrunk(image, self.shrink)
+
+    def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+        """Return the points."""
+        return columns, rows
+
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of image points (..., 2)."""
         return self._camera.robot_rays(points)[0]
@@ -129,8 +160,15 @@ class Cylinder(Canvas):
         rows = math.ceil((self._top - math.tan(low)) * self.scale)
         self.shape = (rows, columns + 2 * self._padding)
         pixels, seen = camera.robot_pixels(self.rays(_grid(self.shape)))
-        pixels = np.where(seen[..., None], pixels, -9.0).astype(np.float32)
-        self._map = cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
+        pixels = np.where(np.isfinite(pixels), pixels, -9.0).astype(np.float32)
+        # In two parts: of a map with two channels OpenCV would round to thirty-seconds of a pixel.
+        self._map = tuple(np.ascontiguousarray(pixels[..., k]) for k in (0, 1))
+        # What remains to be shrunk, about twofold, interpolation averages over.
+        self._before = max(1, self.shrink // 2)
+        half = np.float32(0.5)
+        self._small_map = tuple(
+            (shrunk(m, self.shrink) + half) / np.float32(self._before) - half for m in self._map
+        )
         self.field = np.where(seen, 255, 0).astype(np.uint8)
         self.mask = self.field.copy()
         if self._full_turn:
@@ -139,7 +177,19 @@ class Cylinder(Canvas):
 
     def warp(self, image: Grey) -> Grey:
         """Return the camera's image on the cylinder (one bilinear remap)."""
-        return np.asarray(cv2.remap(image, *self._map, cv2.INTER_LINEAR), dtype=np.uint8)
+        x, y = self._map
+        return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def small(self, image: Grey) -> Grey:
+        """Return the camera's image on the smaller cylinder."""
+        x, y = self._small_map
+        return np.asarray(cv2.remap(shrunk(image, self._before), x, y, cv2.INTER_LINEAR), np.uint8)
+
+    def pixels(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+        """Return where in the image canvas points lie (see `Canvas.pixels`)."""
+        border = cv2.BORDER_REPLICATE
+        x, y = (cv2.remap(m, columns, rows, cv2.INTER_LINEAR, borderMode=border) for m in self._map)
+        return np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
 
     def rays(self, points: ArrayLike) -> Array:
         """Return the unit robot rays (..., 3) of canvas points (..., 2)."""
@@ -197,6 +247,15 @@ def _field_of_view(camera: CentralCamera) -> tuple[float, float, float, float]:
     low, high = max(float(elevation.min()), -bound), min(float(elevation.max()), bound)
     bearing = np.arctan2(right, forward)[np.abs(elevation) <= bound]
     return low, high, float(bearing.min()), float(bearing.max())
+
+
+def shrunk(image: NDArray[Any], side: int) -> NDArray[Any]:
+    """Return an image of which squares of pixels are averaged; what is left over is cut off."""
+    if side == 1:
+        return image
+    rows, columns = (length // side for length in image.shape[:2])
+    whole = image[: side * rows, : side * columns]
+    return np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA))
 
 
 def _grid(shape: tuple[int, int], step: int = 1) -> Array:

@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from hal.errors import BaseFaultError
 from hal.interfaces import Backend
 from hal.types import STANDSTILL, Frame, Odometry, Pose, Velocity
@@ -20,7 +18,8 @@ from visctrl.plugins import (
     Decision,
     Estimate,
     Estimator,
-    Health,
+    Obstacle,
+    ObstacleProvider,
     Perception,
     Plugin,
     Views,
@@ -56,6 +55,7 @@ class Stage:
     """A part of a run with its own estimator and controller.
 
     duration : longest time it may take (s).
+    obstacles : obstacle providers by name.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Stage:
     estimator_name: str
     controller_name: str
     duration: float
+    obstacles: Mapping[str, ObstacleProvider[Any, Any]] = field(default_factory=dict)
 
 
 @dataclass
@@ -244,7 +245,7 @@ class Loop:
         """Return what perception sees, or nothing where the frame is too old to be the present."""
         problem = self._guard.frame_problem(frame, self._backend.clock.now())
         if problem:
-            return nothing_seen(frame, problem)
+            return Views.nothing(frame.stamp, problem)
         try:
             return self._perception.update(frame)
         except Exception as error:
@@ -275,12 +276,23 @@ class Loop:
             turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
             turn.decision = Decision(STANDSTILL, turn.decision.phase)
             return
-        if stage.controller.listens:
-            stage.controller.sense(self._backend.base.ranges())
+        if stage.obstacles:
+            stage.controller.sense(self._obstacles(stage, estimate, now))
         try:
             turn.decision = stage.controller.update(estimate, turn.control_time)
         except Exception as error:
             raise PluginError(f"controller '{stage.controller_name}'", error) from error
+
+    def _obstacles(self, stage: Stage, estimate: Estimate, now: float) -> list[Obstacle]:
+        """Ask the obstacle providers."""
+        found: list[Obstacle] = []
+        for name, provider in stage.obstacles.items():
+            ranges = self._backend.base.ranges() if provider.listens else ()
+            try:
+                found += provider.update(estimate, ranges, now)
+            except Exception as error:
+                raise PluginError(f"obstacle provider '{name}'", error) from error
+        return found
 
     def _command(self, frame: Frame, turn: _Turn) -> None:
         now = self._backend.clock.now()
@@ -323,6 +335,7 @@ class Loop:
             (self._perception_name, self._perception),
             (stage.estimator_name, stage.estimator),
             (stage.controller_name, stage.controller),
+            *stage.obstacles.items(),
         )
         read = everybody if any(observer.reads_signals for observer in self._observers) else ()
         if not read and gives_pose(stage.estimator):
@@ -368,19 +381,3 @@ class _Turn:
     def slowest(self) -> str:
         """Return the part of the tick that took longest."""
         return STAGES[max(range(len(self.seconds)), key=self.seconds.__getitem__)]
-
-
-def nothing_seen(frame: Frame, reason: str) -> Views:
-    """Return the views of a frame that must not be used."""
-    nothing = np.empty((0, 3))
-    return Views(
-        ids=np.empty(0, dtype=np.int64),
-        target=nothing,
-        initial=nothing,
-        current=nothing,
-        pixels=np.empty((0, 2)),
-        sigma=0.0,
-        stamp=frame.stamp,
-        health=Health.LOST,
-        reason=reason,
-    )

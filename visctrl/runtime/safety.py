@@ -51,13 +51,18 @@ class UnsafeCommandError(VisctrlError):
 def effective_limits(robot: Robot, options: SafetyOptions, origin: str) -> Limits:
     """Return the robot's operating limits with those of ``options`` in their place.
 
+    A wheel is as fast as the robot at its top speed straight ahead.
+
     Raises
     ------
     InputError
         One is above what the robot's hardware can do.
     """
-    changes: dict[str, float] = {}
-    for name in Limits.model_fields:
+    changes = {
+        "wheel_m_s": robot.hardware.v_m_s,
+        "track_m": robot.wheels.effective_track_m,
+    }
+    for name in ("v_m_s", "omega_deg_s", "acceleration_m_s2", "angular_acceleration_deg_s2"):
         wanted = getattr(options, name)
         if wanted is None:
             continue
@@ -159,8 +164,7 @@ class Guard:
         limits = self._limits
         if limits is None:
             return wanted
-        omega_max = limits.omega_rad_s
-        excess = max(1.0, abs(wanted.v) / limits.v_m_s, abs(wanted.omega) / omega_max)
+        excess = max(1.0, limits.ratio(*wanted))
         dt = self._period if self._sent_at is None else now - self._sent_at
         return Velocity(
             towards(self._sent.v, wanted.v / excess, limits.acceleration_m_s2 * dt),
