@@ -18,9 +18,8 @@ Mask = NDArray[np.bool_]
 REACH_PX = 2.5
 # Patches stretched by more than this, either way, are not compared.
 _MAX_STRETCH = 2.5
-# A view that weighs less than this against the other is left out, but asked again this often (a
-# prime, as a tick may call more than once).
-_WORTH, _ASK_AGAIN = 0.03, 7
+# Calls after which both views are asked, not only the one that says more.
+_ASK_BOTH = 3
 
 
 @dataclass(frozen=True)
@@ -42,9 +41,11 @@ class Anchors:
     def __init__(self, landmarks: Landmarks) -> None:
         self._map = landmarks.map
         self._patches = landmarks.patches
-        # Of each patch; the weights by views.
+        # Of each patch; of each view and landmark; how far to the right and below the initial
+        # view's place for a landmark the target view's is.
         self._warps = np.zeros((2 * len(landmarks), 2, 2))
         self._weights = np.zeros((2, len(landmarks)))
+        self._apart = np.zeros((len(landmarks), 2))
         self._calls = 0
         self.expect(np.arange(len(landmarks)), self._map.initial_pose)
 
@@ -54,31 +55,33 @@ class Anchors:
         _, initially = self._map.predict(which, self._map.initial_pose)
         self._warps[which] = np.eye(2) * scale[:, None, None]
         self._warps[len(self._map) + which] = np.eye(2) * (scale / initially)[:, None, None]
+        self._weights[:, which] = 0.0
         return rays
 
     def hold(self, source: Source, which: Indices, points: Array, iterations: int) -> Anchored:
         """Align landmarks (M,) expected at points (M, 2) of an image.
 
-        The view that said next to nothing about a landmark is asked about it again only once in
-        a while.
+        The view that said less about a landmark is asked about it again only once in a while; in
+        between it is taken to differ from the other as it did then.
         """
-        said = self._weights[:, which]
-        due = (which + self._calls) % _ASK_AGAIN == 0
+        weight, apart = self._weights[:, which], self._apart[which]
+        asked = (weight >= weight[::-1]) | ((which + self._calls) % _ASK_BOTH == 0)
         self._calls += 1
-        view, track = np.nonzero((said >= _WORTH * said[::-1]) | due)
+        view, track = np.nonzero(asked)
         number, start = view * len(self._map) + which[track], points[track]
         found = self._patches.align(source, number, start, self._warps[number], iterations)
         moved = np.linalg.norm(found.points - start, axis=-1)
         good = (found.score > ALIKE) & (moved < REACH_PX) & _sane(found.warps)
         self._warps[number[good]] = found.warps[good]
-        weight, place = np.zeros(said.shape), np.zeros((*said.shape, 2))
+        told, place = np.zeros_like(asked), np.zeros((*asked.shape, 2))
+        told[view, track], place[view, track] = good, found.points
         weight[view, track] = np.where(good, 1.0 / (1.02 - found.score) ** 3, 0.0)
-        place[view, track] = found.points
-        self._weights.flat[number] = weight[view, track]
-        total = weight.sum(axis=0)
-        held = total > 0.0
-        mean = (weight[..., None] * place).sum(axis=0) / np.where(held, total, 1.0)[:, None]
-        return Anchored(np.where(held[:, None], mean, points), held)
+        held, both = told.any(axis=0), told.all(axis=0)
+        apart[both] = place[0, both] - place[1, both]
+        self._weights[:, which], self._apart[which] = weight, apart
+        by_target = np.where(told[0, :, None], place[0], place[1] + apart)
+        share = weight[1] / np.where(held, weight.sum(axis=0), 1.0)
+        return Anchored(np.where(held[:, None], by_target - share[:, None] * apart, points), held)
 
 
 def _sane(warps: Array) -> Mask:
