@@ -21,9 +21,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from two_cores import machine_ratio
 
 from visctrl.config import to_yaml
 from visctrl.experiments.study_log import StudyLog
@@ -42,28 +42,6 @@ SETTINGS = {
     "controller.tau_s": 95,
     "mock": {"ideal": True, "noise_px": 1},
 }
-_PRODUCTS = 4000
-
-
-def multiply(number: int) -> float:
-    """Keep a core busy for about a second with what a filter does: products of small matrices."""
-    rng = np.random.default_rng(number)
-    covariance, gain = rng.normal(size=(126, 126)), rng.normal(size=(60, 126)) / 126.0
-    for _ in range(_PRODUCTS):
-        covariance -= gain.T @ (gain @ covariance)
-    return float(covariance[0, 0])
-
-
-def machine_ratio() -> float:
-    """Return the time of two workers over that of one, for work that shares nothing at all."""
-    took = []
-    for workers in (2, 1):
-        each = LocalWorkers(workers).each(multiply, range(12))
-        next(each)  # the workers have started
-        began = time.perf_counter()
-        list(each)
-        took.append(time.perf_counter() - began)
-    return took[0] / took[1]
 
 
 def measure(study: Path, folder: Path, workers: int) -> tuple[float, list[dict[str, Any]], bytes]:

@@ -20,16 +20,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hal.central_camera import camera_names, load_camera
 from hal.types import Pose
 from sim.accuracy import CornerErrors, checker_room, measure_corners
-from sim.engine import egl_works
-from sim.renderer import BulletRenderer, Drawer
+from sim.drawers import DRAWERS, DrawerName, drawer_problem, open_renderer
 
 BOUND_PX = 0.2
 
 
-def measured(name: str, drawer: Drawer, poses: list[Pose]) -> CornerErrors:
+def measured(name: str, drawer: DrawerName, poses: list[Pose]) -> CornerErrors:
     """Return the errors of one camera, drawn by one renderer."""
     camera = load_camera(name)
-    renderer = BulletRenderer(checker_room(), camera, drawer)
+    renderer = open_renderer(drawer, checker_room(), camera)
     try:
         return measure_corners(renderer, camera, poses)
     finally:
@@ -45,7 +44,7 @@ def main() -> int:
     rng = np.random.default_rng(arguments.seed)
     places = rng.uniform((-0.8, -0.8, -np.pi), (0.8, 0.8, np.pi), (arguments.poses, 3))
     poses = [Pose(*place) for place in places.tolist()]
-    drawers: tuple[Drawer, ...] = ("tiny", "egl") if egl_works() else ("tiny",)
+    drawers = [drawer for drawer in DRAWERS if not drawer_problem(drawer)]
     worst = 0.0
     print(f"{'camera':18} {'renderer':8} corners  mean px   95 %   99 %  coverage")
     for drawer in drawers:

@@ -38,6 +38,8 @@ class ActuationOptions(Document):
 
     def executed(self, set_point: Velocity) -> Velocity:
         """Return what is left of a set-point after slip."""
+        if self.slip_v == 0.0 and self.slip_omega == 0.0:
+            return set_point
         return Velocity(
             (1.0 - self.slip_v) * set_point.v, (1.0 - self.slip_omega) * set_point.omega
         )
@@ -56,6 +58,9 @@ class Actuation:
 
     def __init__(self, limits: Limits | None, options: ActuationOptions) -> None:
         self._limits = limits
+        self._acceleration = (
+            (limits.acceleration_m_s2, limits.angular_acceleration_rad_s2) if limits else None
+        )
         self._options = options
         self._pending: deque[tuple[float, Velocity]] = deque()
         self._wanted = STANDSTILL
@@ -89,14 +94,13 @@ class Actuation:
         """
         while self._pending and self._pending[0][0] <= t + _SAME_INSTANT_S:
             self._wanted = self._pending.popleft()[1]
-        if self._limits is None:
-            self._set_point = self._wanted
+        wanted, now = self._wanted, self._set_point
+        if self._acceleration is None or now == wanted:
+            self._set_point = wanted
         else:
-            dv = self._limits.acceleration_m_s2 * dt
-            dw = self._limits.angular_acceleration_rad_s2 * dt
+            dv, dw = self._acceleration
             self._set_point = Velocity(
-                _towards(self._set_point.v, self._wanted.v, dv),
-                _towards(self._set_point.omega, self._wanted.omega, dw),
+                towards(now.v, wanted.v, dv * dt), towards(now.omega, wanted.omega, dw * dt)
             )
         return self._set_point
 
@@ -115,7 +119,7 @@ def bounded(velocity: Velocity, limits: Limits | None) -> Velocity:
     """Return ``velocity`` within its bounds, both components scaled alike (curvature stays)."""
     if limits is None:
         return velocity
-    excess = max(1.0, abs(velocity.v) / limits.v_m_s, abs(velocity.omega) / limits.omega_rad_s)
+    excess = max(1.0, limits.ratio(*velocity))
     return Velocity(velocity.v / excess, velocity.omega / excess)
 
 
@@ -125,7 +129,13 @@ def quantised(velocity: Velocity, limits: Limits | None) -> Velocity:
     top_deg = limits.omega_deg_s if limits else math.inf
     v_mm = _whole(velocity.v * _MM, top_mm)
     omega_deg = _whole(math.degrees(velocity.omega), top_deg)
-    return Velocity(v_mm / _MM, math.radians(omega_deg))
+    nearest = Velocity(v_mm / _MM, math.radians(omega_deg))
+    if limits is None or limits.ratio(*nearest) <= 1.0 + 1e-9:
+        return nearest
+    # Both rounded up, a wheel would be too fast.
+    return Velocity(
+        math.trunc(velocity.v * _MM) / _MM, math.radians(math.trunc(math.degrees(velocity.omega)))
+    )
 
 
 def _whole(value: float, bound: float) -> int:
@@ -136,6 +146,6 @@ def _whole(value: float, bound: float) -> int:
     return int(math.copysign(nearest, value))
 
 
-def _towards(value: float, goal: float, step: float) -> float:
+def towards(value: float, goal: float, step: float) -> float:
     """Return ``value`` moved to ``goal`` by at most ``step``."""
     return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)

@@ -35,6 +35,8 @@ def _not_zero(focal: float) -> float:
 
 Focal = Annotated[float, AfterValidator(_not_zero)]
 
+_ONES = np.ones(3)
+_OPTICAL_AXIS = np.array([[0.0], [0.0], [1.0]])
 # Columns are the camera's x, y, z axes in robot coordinates (right, forward, up).
 _MOUNTINGS: dict[str, Array] = {
     "forward": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
@@ -91,16 +93,7 @@ class CentralCamera(Document):
         valid : (...) bool array
             The ray is in the field of view and falls into the image.
         """
-        rays = np.asarray(rays, dtype=np.float64)
-        x, y, z = rays[..., 0], rays[..., 1], rays[..., 2]
-        norm = np.sqrt(x * x + y * y + z * z)
-        seen = self._in_field(z / norm)
-        depth = z + self.xi * norm
-        scale = 1.0 / (depth if seen.all() else np.where(seen, depth, np.nan))
-        pixels = np.empty((*scale.shape, 2))
-        pixels[..., 0] = self._columns(x * scale, y * scale)
-        pixels[..., 1] = y * (self.fy * scale) + self.cy
-        return pixels, seen & self.contains(pixels)
+        return self._image(rays, self._forms)
 
     def unproject(self, pixels: ArrayLike) -> tuple[Array, Mask]:
         """Return the unit rays (..., 3) in camera axes of pixels (..., 2), and their validity.
@@ -108,21 +101,7 @@ class CentralCamera(Document):
         A ray is valid when the pixel lies in the image of the field of view; elsewhere it is
         NaN where the model has none (ξ > 1 outside its image circle).
         """
-        pixels = np.asarray(pixels, dtype=np.float64)
-        y = (pixels[..., 1] - self.cy) / self.fy
-        x = (pixels[..., 0] - self.cx) / self.fx
-        if self.skew != 0.0:
-            x -= self.skew / self.fx * y
-        r2 = x * x + y * y
-        root = 1.0 + (1.0 - self.xi**2) * r2
-        if self.xi > 1.0:
-            root = np.where(root >= 0.0, root, np.nan)
-        factor = (self.xi + np.sqrt(root)) / (1.0 + r2)
-        rays = np.empty((*x.shape, 3))
-        rays[..., 0] = factor * x
-        rays[..., 1] = factor * y
-        rays[..., 2] = factor - self.xi
-        return rays, self._in_field(rays[..., 2]) & self.contains(pixels)
+        return self._rays(pixels, self._inverse, _OPTICAL_AXIS)
 
     def jacobian(self, rays: ArrayLike) -> Array:
         """Return ∂pixel/∂ray (..., 2, 3) at the unit vectors along ``rays`` (..., 3).
@@ -158,12 +137,11 @@ class CentralCamera(Document):
 
     def robot_rays(self, pixels: ArrayLike) -> tuple[Array, Mask]:
         """Return unit rays (..., 3) as (right, forward, up) of pixels (..., 2), and validity."""
-        rays, valid = self.unproject(pixels)
-        return rays @ self.rotation.T, valid
+        return self._rays(pixels, self._robot_inverse, self.rotation[:, 2:])
 
     def robot_pixels(self, rays: ArrayLike) -> tuple[Array, Mask]:
         """Return pixels (..., 2) of robot rays (..., 3), and their validity (see `project`)."""
-        return self.project(np.asarray(rays, dtype=np.float64) @ self.rotation)
+        return self._image(rays, self._robot_forms)
 
     def bearing_per_pixel(self, rays: ArrayLike) -> Array:
         """Return how far (rad) one pixel's noise turns the bearings of robot rays (..., 3).
@@ -172,26 +150,39 @@ class CentralCamera(Document):
         deviation of either image coordinate. Infinite straight up and down.
         """
         rays = np.asarray(rays, dtype=np.float64)
-        level = np.hypot(rays[..., 0], rays[..., 1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if self._upright:
-                # About an upright axis the bearing is the angle about the image's centre.
-                radius = self.fx * level / (rays[..., 2] * self.rotation[2, 2] + self.xi)
-                return np.asarray(1.0 / np.abs(radius), dtype=np.float64)
-            s, c = rays[..., 0] / level, rays[..., 1] / level
-            sideways = np.stack([c, -s, np.zeros_like(s)], axis=-1) * level[..., None]
-            upwards = np.stack([-s * rays[..., 2], -c * rays[..., 2], level], axis=-1)
-            J = self.jacobian(rays @ self.rotation) @ self.rotation.T
-            a = (J @ sideways[..., None])[..., 0]
-            b = (J @ upwards[..., None])[..., 0]
-            det = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-            return np.asarray(np.hypot(b[..., 0], b[..., 1]) / np.abs(det), dtype=np.float64)
+        if self._upright is not None:
+            # About an upright axis the bearing is the angle about the image's centre.
+            depth = rays[..., 2] * self._upright + self.xi
+            level = np.hypot(rays[..., 0], rays[..., 1])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                return np.asarray(np.abs(depth / (self.fx * level)), dtype=np.float64)
+        ray = rays @ self.rotation
+        up = self.rotation[2].tolist()
+        x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
+        # The ray turns by one radian of bearing along ray × up; up, less its part along the ray,
+        # leaves the bearing alone. A pixel's noise in any direction counts by its part across
+        # the latter's image.
+        sideways = (y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
+        height = x * up[0] + y * up[1] + z * up[2]
+        upwards = (up[0] - height * x, up[1] - height * y, up[2] - height * z)
+        depth = z + self.xi
+        a, b = ((dx * depth - x * dz, dy * depth - y * dz) for dx, dy, dz in (sideways, upwards))
+        across = np.abs((self.fx * self.fy) * (a[0] * b[1] - a[1] * b[0]))
+        length = np.hypot(self.fx * b[0] + self.skew * b[1], self.fy * b[1])
+        turn = np.full(across.shape, np.inf)
+        np.divide(length * depth * depth, across, out=turn, where=across > 0.0)
+        return turn
 
     @cached_property
-    def _upright(self) -> bool:
-        """Whether the optical axis is exactly vertical and the pixels are square."""
+    def _upright(self) -> float | None:
+        """Which way the optical axis points if it is exactly vertical and pixels are square.
+
+        1 is up, −1 down, None is any other camera.
+        """
         square = abs(self.fx) == abs(self.fy) and self.skew == 0.0
-        return self.panoramic and square and self.pitch_deg == 0.0 and self.roll_deg == 0.0
+        if self.panoramic and square and self.pitch_deg == 0.0 and self.roll_deg == 0.0:
+            return float(self.rotation[2, 2])
+        return None
 
     @property
     def panoramic(self) -> bool:
@@ -226,18 +217,87 @@ class CentralCamera(Document):
         """Return a copy with some fields changed and everything checked again."""
         return CentralCamera.model_validate({**self.model_dump(), **changes})
 
-    def _columns(self, x: Array, y: Array) -> Array:
-        """Return the u coordinates of points on the normalised plane."""
-        u = self.fx * x + self.cx
-        return u + self.skew * y if self.skew != 0.0 else u
+    def _image(self, rays: ArrayLike, forms: Array) -> tuple[Array, Mask]:
+        """Return what `project` returns, by the forms (see `_forms`) of the rays' axes."""
+        rays = np.asarray(rays, dtype=np.float64)
+        ray = np.empty((4, math.prod(rays.shape[:-1])))
+        ray[:3] = rays.reshape(-1, 3).T
+        np.sqrt(_ONES.dot(ray[:3] * ray[:3]), out=ray[3])
+        found = forms.dot(ray)
+        inside = found[3:] > 0.0
+        valid = np.logical_and.reduce(inside)
+        depth = found[2]
+        if not valid.all():
+            depth = np.where(inside[-1] & inside[-2], depth, np.nan)
+        pixels = found[:2] / depth
+        return pixels.T.reshape(*rays.shape[:-1], 2), valid.reshape(rays.shape[:-1])
 
-    def _in_field(self, z: Array) -> Mask:
-        """Return whether unit rays with optical-axis component ``z`` are in the field of view."""
-        low, high = self._field
-        return np.asarray((z >= low) & (z <= high))
+    def _rays(self, pixels: ArrayLike, inverse: Array, axis: Array) -> tuple[Array, Mask]:
+        """Return what `unproject` returns, in any axes.
+
+        inverse : `_inverse` in these axes; axis : (3, 1), the optical axis.
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        image = np.empty((3, math.prod(pixels.shape[:-1])))
+        image[:2], image[2] = pixels.reshape(-1, 2).T, 1.0
+        found = inverse.dot(image)
+        ray = found[:3]
+        square, xi = _ONES.dot(ray * ray), self.xi
+        root = (1.0 - xi**2) * square + xi**2
+        if xi > 1.0:
+            root = np.where(root >= 0.0, root, np.nan)
+        factor = (np.sqrt(root) + xi) / square
+        ray *= factor
+        ray -= xi * axis
+        low, high = self.field
+        valid = np.logical_and.reduce(found[3:] >= 0.0) & (factor >= low + xi)
+        if high < 1.0:
+            valid &= factor <= high + xi
+        return ray.T.reshape(*pixels.shape[:-1], 3), valid.reshape(pixels.shape[:-1])
 
     @cached_property
-    def _field(self) -> tuple[float, float]:
+    def _forms(self) -> Array:
+        """(9, 4): what is linear in a ray and its length, (x, y, z, ρ).
+
+        The image (u, v, 1) times the depth z + ξρ, how far inside the image's four edges that
+        is, and how far inside the bounds of the field of view: a ray is seen where all of the
+        last six are positive.
+        """
+        image = np.array(
+            [
+                [self.fx, self.skew, self.cx, self.cx * self.xi],
+                [0.0, self.fy, self.cy, self.cy * self.xi],
+                [0.0, 0.0, 1.0, self.xi],
+            ]
+        )
+        low, high = self.field
+        field = np.array([[0.0, 0.0, -1.0, high], [0.0, 0.0, 1.0, -low]])
+        return np.concatenate([image, self._edges.dot(image), field])
+
+    @cached_property
+    def _robot_forms(self) -> Array:
+        """(9, 4): `_forms` of robot rays."""
+        return np.concatenate([self._forms[:, :3].dot(self.rotation.T), self._forms[:, 3:]], axis=1)
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """(7, 3): takes (u, v, 1) to (x, y, 1) on the normalised plane, and to `_edges`."""
+        K = np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        return np.concatenate([np.linalg.inv(K), self._edges])
+
+    @cached_property
+    def _robot_inverse(self) -> Array:
+        """(7, 3): `_inverse` with the plane's points in robot axes."""
+        return np.concatenate([self.rotation.dot(self._inverse[:3]), self._edges])
+
+    @cached_property
+    def _edges(self) -> Array:
+        """(4, 3): takes (u, v, 1) to its distances from the outer edges of the image (px)."""
+        right, bottom = self.width - 0.5, self.height - 0.5
+        return np.array([[1.0, 0.0, 0.5], [-1.0, 0.0, right], [0.0, 1.0, 0.5], [0.0, -1.0, bottom]])
+
+    @cached_property
+    def field(self) -> tuple[float, float]:
         """Least and greatest optical-axis component of a unit ray in the field of view."""
         low = math.cos(math.radians(self.max_polar_deg))
         high = math.cos(math.radians(self.min_polar_deg))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -53,7 +52,7 @@ class Faults(Document):
 
 def active(intervals: tuple[tuple[float, float], ...], t: float) -> bool:
     """Return whether ``t`` (s) lies in any of the intervals."""
-    return any(start <= t < end for start, end in intervals)
+    return bool(intervals) and any(start <= t < end for start, end in intervals)
 
 
 def check_link(faults: Faults, t: float) -> None:
@@ -68,7 +67,7 @@ def blackened(frame: Frame) -> Frame:
     features = None
     if frame.features is not None:
         features = Features(np.empty(0, dtype=np.int64), np.empty((0, 2)))
-    return replace(frame, image=image, features=features)
+    return frame._replace(image=image, features=features)
 
 
 class FaultyCapture:

@@ -14,6 +14,9 @@ from typing import ClassVar, Self
 from hal.central_camera import CentralCamera
 from hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
 from robots import Robot
+from robots.documents import Document
+
+_NOTHING_TO_REPORT = BaseStatus()
 
 
 class Clock(ABC):
@@ -69,7 +72,7 @@ class Base(ABC):
 
     def status(self) -> BaseStatus:
         """Return the base's health; the default is a base that has nothing to report."""
-        return BaseStatus()
+        return _NOTHING_TO_REPORT
 
     def ranges(self) -> Sequence[Range]:
         """Return the newest reading of every range sensor; the default has none."""
@@ -93,6 +96,12 @@ class Backend(ABC):
     camera: Camera
     base: Base
     clock: Clock
+
+    @classmethod
+    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+        """Return whether the base would have range sensors; the default has none."""
+        del robot, options
+        return False
 
     @abstractmethod
     def open(self) -> None:

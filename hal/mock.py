@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from enum import IntEnum
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -19,7 +20,7 @@ from hal.clock import WallClock, WorldClock
 from hal.errors import LinkError
 from hal.faults import Faults, FaultyCapture, check_link
 from hal.interfaces import Backend, Base, Camera
-from hal.mock_scene import scatter, seen_from
+from hal.mock_scene import scatter, view_matrix
 from hal.types import STANDSTILL, Features, Frame, Odometry, Pose, Velocity
 from robots import Limits, Robot
 from robots.documents import Document
@@ -31,6 +32,16 @@ _STEP_S, _INSTANT_S = 0.01, 1e-12
 _EXACT = ActuationOptions(quantise=False)
 
 Metres = Annotated[float, Field(gt=0.0)]
+
+
+class Purpose(IntEnum):
+    """What the mock draws random numbers for, each from a generator of its own."""
+
+    SCENE, NOISE, TEACHING, DROPS, SCATTER = range(5)
+
+    def generator(self, seed: int) -> np.random.Generator:
+        """Return the generator of a run with this seed."""
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(self.value,)))
 
 
 class Scatter(Document):
@@ -128,35 +139,32 @@ class MockBackend(Backend):
             Start and target see too little in common.
         """
         options = self._options
-        seeds = np.random.SeedSequence(self._seed).spawn(5)
-        scene_seed, noise_seed, teach_seed, drop_seed, scatter_seed = seeds
         points = scatter(
             options.features,
             (options.near_m, options.far_m),
             self._true_camera,
             self._mount,
             self._start,
-            np.random.default_rng(scene_seed),
+            Purpose.SCENE.generator(self._seed),
         )
         actuation = _EXACT if options.ideal else options.actuation
-        scatter_rng = np.random.default_rng(scatter_seed)
         motion = _Motion(
             self._start,
             self._mount.forward_m,
             self._limits,
             actuation,
-            lambda: _scattered(options.scatter, scatter_rng),
+            _scattering(options.scatter, Purpose.SCATTER.generator(self._seed)),
         )
         clock = WorldClock(motion.advance, WallClock() if self._realtime else None)
-        drops = FaultyCapture(options.faults, np.random.default_rng(drop_seed))
+        drops = FaultyCapture(options.faults, Purpose.DROPS.generator(self._seed))
         projector = _Projector(points, self._true_camera, options.noise_px)
         self._motion, self.clock = motion, clock
         self.camera = MockCamera(
-            self._belief, projector, motion, clock, drops, np.random.default_rng(noise_seed)
+            self._belief, projector, motion, clock, drops, Purpose.NOISE.generator(self._seed)
         )
         self.base = MockBase(motion, clock, options.faults)
         self._projector = projector
-        self._teach_rng = np.random.default_rng(teach_seed)
+        self._teach_rng = Purpose.TEACHING.generator(self._seed)
 
     def close(self) -> None:
         """Stop the robot; its base takes no more commands."""
@@ -172,18 +180,6 @@ class MockBackend(Backend):
             Frame(self.clock.now(), k, features=self._projector.image(origin, self._teach_rng))
             for k in range(count)
         ]
-
-    @property
-    def scene(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-        """The points (N, 3) of the scene in the target's frame (m)."""
-        return self._projector.points
-
-    def noise(self, count: int) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
-        """Draw the noise (count, N, 2) of the next images (px), which then will not have it.
-
-        For whoever makes these images instead: see `visctrl.montecarlo`.
-        """
-        return self.camera.noise(count, len(self.scene))
 
     def truth(self) -> Pose | None:
         """Return the camera's true pose in the target's frame; None when closed."""
@@ -227,12 +223,6 @@ class MockCamera(Camera):
             self._newest = self._capture.deliver(now, lambda: self._expose(now))
             self._read_at = now
         return self._newest
-
-    def noise(
-        self, count: int, features: int
-    ) -> np.ndarray[tuple[int, int, int], np.dtype[np.float64]]:
-        """Draw the noise (count, features, 2) of the next images (px)."""
-        return self._rng.normal(scale=self._projector.noise, size=(count, features, 2))
 
     def _expose(self, now: float) -> Frame:
         self._sequence += 1
@@ -278,12 +268,15 @@ class _Projector:
         self.points = points
         self._camera = camera
         self.noise = noise
+        self._homogeneous = np.column_stack([points, np.ones(len(points))])
         self._ids = np.arange(len(points), dtype=np.int64)
 
     def image(self, pose: Pose, rng: np.random.Generator) -> Features:
-        pixels, seen = self._camera.robot_pixels(seen_from(self.points, pose))
+        pixels, seen = self._camera.robot_pixels(self._homogeneous @ view_matrix(pose))
         if self.noise > 0.0:
             pixels += rng.normal(scale=self.noise, size=pixels.shape)
+        if seen.all():
+            return Features(self._ids, pixels)
         return Features(self._ids[seen], pixels[seen])
 
 
@@ -318,7 +311,7 @@ class _Motion:
             step = left if self._instant or self.actuation.steady else min(left, _STEP_S)
             self.set_point = self.actuation.velocity_at(self._time, step)
             executed = self._options.executed(self.set_point)
-            if executed != STANDSTILL:
+            if scatter != STANDSTILL and executed != STANDSTILL:
                 executed = Velocity(executed.v + scatter.v, executed.omega + scatter.omega)
             self._axle = along_arc(self._axle, executed, step)
             self._wheels = along_arc(self._wheels, self.set_point, step)
@@ -339,9 +332,14 @@ class _Motion:
         self.set_point = STANDSTILL
 
 
-def _scattered(scatter: Scatter, rng: np.random.Generator) -> Velocity:
-    """Draw by how much a tick's velocity differs from the commanded one."""
+def _scattering(scatter: Scatter, rng: np.random.Generator) -> Callable[[], Velocity]:
+    """Return what draws by how much a tick's velocity differs from the commanded one."""
     if scatter == Scatter():
-        return STANDSTILL
-    v, omega = rng.normal(size=2).tolist()
-    return Velocity(v * scatter.v_m_s, omega * math.radians(scatter.omega_deg_s))
+        return lambda: STANDSTILL
+    v_sd, omega_sd = scatter.v_m_s, math.radians(scatter.omega_deg_s)
+
+    def draw() -> Velocity:
+        v, omega = rng.normal(size=2).tolist()
+        return Velocity(v * v_sd, omega * omega_sd)
+
+    return draw

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +32,7 @@ class Velocity(NamedTuple):
 STANDSTILL = Velocity(0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Features:
+class Features(NamedTuple):
     """Identified image features, as a camera that solves the correspondence delivers them.
 
     ids : (N,) int array, strictly increasing; the same id is the same feature in every frame.
@@ -45,8 +43,7 @@ class Features:
     pixels: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """One picture: a grey image, or identified features, or both.
 
     stamp : time of exposure on the backend's clock (s).
@@ -60,8 +57,7 @@ class Frame:
     features: Features | None = None
 
 
-@dataclass(frozen=True)
-class Odometry:
+class Odometry(NamedTuple):
     """Dead-reckoned pose of the base since it was opened, and its measured velocity."""
 
     stamp: float
@@ -75,17 +71,18 @@ class Range(NamedTuple):
     right, forward : where the sensor sits about the axle's centre (m).
     bearing : in which direction it looks (rad, clockwise from forward).
     distance : to what it meets (m); infinite for nothing.
+    age : since it was measured (s).
     """
 
     right: float
     forward: float
     bearing: float
     distance: float
+    age: float = 0.0
 
 
-@dataclass(frozen=True)
-class BaseStatus:
+class BaseStatus(NamedTuple):
     """Health of the base. ``faults`` are sentences; the robot may move only if it is empty."""
 
     battery_v: float | None = None
-    faults: tuple[str, ...] = field(default=())
+    faults: tuple[str, ...] = ()

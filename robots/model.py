@@ -17,12 +17,17 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class Limits(Document):
-    """Speed and acceleration bounds of a base."""
+    """Speed and acceleration bounds of a base.
+
+    wheel_m_s, track_m : bound of each wheel's speed |v ± ω b/2|, and b; None for no such bound.
+    """
 
     v_m_s: Positive
     omega_deg_s: Positive
     acceleration_m_s2: Positive
     angular_acceleration_deg_s2: Positive
+    wheel_m_s: Positive | None = None
+    track_m: Positive | None = None
 
     @property
     def omega_rad_s(self) -> float:
@@ -33,6 +38,17 @@ class Limits(Document):
     def angular_acceleration_rad_s2(self) -> float:
         """Angular-acceleration bound (rad/s²)."""
         return math.radians(self.angular_acceleration_deg_s2)
+
+    def ratio(self, v: float, omega: float) -> float:
+        """Return a velocity (m/s, rad/s) over its bounds: the largest share of any of them.
+
+        Divided by it where it exceeds 1, both components alike, the path keeps its curvature.
+        """
+        v, omega = abs(v), abs(omega)
+        ratio = max(v / self.v_m_s, omega / self.omega_rad_s)
+        if self.wheel_m_s is None or self.track_m is None:
+            return ratio
+        return max(ratio, (v + omega * self.track_m / 2.0) / self.wheel_m_s)
 
 
 class Body(Document):

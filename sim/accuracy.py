@@ -69,7 +69,7 @@ def checker_room() -> Scene:
             margin_m=0.0,
             **board.model_dump(),
         )
-        for where, bottom in (("floor", 0.0), ("ceiling", _HEIGHT_M))
+        for where, bottom in (("floor", 0.0), ("ceiling", _HEIGHT_M - 2.0 * _SLAB_M))
         for x in _BOARD_CENTRES_M
         for y in _BOARD_CENTRES_M
     ]

@@ -12,13 +12,15 @@ from hal.clock import WallClock, WorldClock
 from hal.errors import CameraError, LinkError
 from hal.faults import FaultyCapture, check_link
 from hal.interfaces import Backend, Base, Camera
+from hal.pioneer.subclasses import ring_of
 from hal.types import Frame, Odometry, Pose, Range, Velocity
 from robots import Limits, Robot
+from robots.documents import Document
 from robots.model import Mount
+from sim.drawers import open_renderer
 from sim.imaging import Sensor
 from sim.options import SimOptions
 from sim.physics import Physics
-from sim.renderer import BulletRenderer, choose_drawer
 from sim.scene import Item, Scene, load_scene
 from sim.world import World
 
@@ -126,6 +128,12 @@ class SimBackend(Backend):
         self._realtime = realtime
         self._world: World | None = None
 
+    @classmethod
+    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+        """See `Backend.measures_ranges`: rays stand for the sonar rings that the robot has."""
+        del options
+        return bool(ring_of(robot.name))
+
     def open(self) -> None:
         """Build the world and put the robot at its start.
 
@@ -201,8 +209,8 @@ class SimBackend(Backend):
             raise CameraError("the true camera's images have another size than the calibration's")
         physics = Physics(scene, self.robot, options.gui)
         try:
-            renderer = BulletRenderer(
-                scene, model, choose_drawer(options.renderer), options.detail, options.show_floor
+            renderer = open_renderer(
+                options.renderer, scene, model, options.detail, options.show_floor
             )
         except BaseException:
             physics.close()

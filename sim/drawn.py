@@ -15,18 +15,23 @@ from numpy.typing import NDArray
 
 from hal.central_camera import CentralCamera
 from hal.types import Pose
-from robots.unicycle import to_rep103
 from sim.engine import pybullet
-from sim.frames import TO_ENGINE, heading_matrix
+from sim.frames import TO_ENGINE, displacement, heading_matrix
 from sim.scene import Scene
 from sim.surfaces import Surface, surfaces
-from sim.textures import FINEST_SIGMA_M, LEVELS, NEAREST_TEXEL_FINENESS, Levels, Pattern
+from sim.textures import (
+    FINEST_SIGMA_M,
+    LEVELS,
+    NEAREST_TEXEL_FINENESS,
+    OBLIQUENESS,
+    Levels,
+    Pattern,
+)
 
 Array = NDArray[np.float64]
 
 #: Blur that a texture needs, in image pixels.
 _SIGMA_PX = 0.7
-_OBLIQUENESS = 0.75
 #: A level is kept until another fits better by this much (octaves).
 _HYSTERESIS = 0.6
 _NEAREST_M = 0.3
@@ -134,11 +139,10 @@ class DrawnScene:
     def place(self, item: str, at: Pose) -> None:
         """Move an item's bodies so that it stands at ``at`` (x, y, yaw)."""
         home = self._items[item]
-        turn = at.phi - math.radians(home.yaw_deg)
-        R = heading_matrix(turn)
-        shift = np.array([at.x, at.y, 0.0]) - R @ np.array([*home.at_m, 0.0])
+        start = Pose(*home.at_m, math.radians(home.yaw_deg))
+        R, shift = displacement(start, at)
         where = TO_ENGINE @ shift
-        spin = pybullet.getQuaternionFromEuler([0.0, 0.0, float(to_rep103([0, 0, turn])[2])])
+        spin = pybullet.getQuaternionFromEuler([0.0, 0.0, at.phi - start.phi])
         for i, surface in enumerate(self._surfaces):
             if surface.item != item:
                 continue
@@ -204,8 +208,7 @@ class DrawnScene:
         cosine = -np.sum(towards * self._normals, axis=-1) / distance
         facing = cosine > 0.0
         footprint = distance / self._pixels_per_radian(towards, phi)
-        # An oblique surface is coarser in one direction only: a compromise between the two.
-        footprint = footprint / np.clip(cosine, 0.1, 1.0) ** _OBLIQUENESS
+        footprint = footprint / np.clip(cosine, 0.1, 1.0) ** OBLIQUENESS
         level = np.log2(_SIGMA_PX * footprint / FINEST_SIGMA_M)
         return np.clip(level, 0.0, LEVELS - 1.0), facing
 

@@ -14,7 +14,7 @@ from enum import IntEnum
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import Synchronized, SynchronizedArray
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 from hal.central_camera import CentralCamera
 from hal.errors import CameraError
@@ -23,6 +23,7 @@ from hal.types import Pose
 from robots.errors import VisctrlError
 from robots.model import Mount
 from robots.unicycle import step_exact
+from sim.options import RendererName
 
 _START_S = 120.0
 _JOIN_S = 3.0
@@ -51,7 +52,7 @@ class CameraSpec:
     scene: str
     camera: CentralCamera
     mount: Mount
-    renderer: Literal["auto", "tiny", "egl"] = "tiny"
+    renderer: RendererName = "tiny"
     image_noise: float = 2.0
     fps: float = 10.0
     port: int = 0
@@ -165,15 +166,13 @@ class _Studio:
     """Takes pictures. The drawing libraries are imported in this process only."""
 
     def __init__(self, spec: CameraSpec) -> None:
+        from sim.drawers import open_renderer
         from sim.imaging import Sensor
-        from sim.renderer import BulletRenderer, choose_drawer
         from sim.scene import load_scene
 
         camera = spec.camera
         self._mount = spec.mount
-        self._renderer = BulletRenderer(
-            load_scene(spec.scene), camera, choose_drawer(spec.renderer)
-        )
+        self._renderer = open_renderer(spec.renderer, load_scene(spec.scene), camera)
         self._sensor = Sensor(
             camera.width, camera.height, spec.image_noise, blur_px=0.0, exposure=0.0, seed=spec.seed
         )

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import ctypes
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from importlib.util import find_spec
 
 from hal.errors import InputError
+from sim.probe import works
 
 __all__ = ["connect", "connect_window", "disconnect", "egl_works", "hushed", "load_egl", "pybullet"]
 
-_PROBE_TIMEOUT_S = 20.0
 _STREAMS = (1, 2)
 
 
@@ -66,7 +64,7 @@ def connect_window() -> int:
     InputError
         No window can be opened here.
     """
-    if not _works(_WINDOW_PROBE):
+    if not works(_WINDOW_PROBE):
         raise InputError(
             "PyBullet's window cannot be opened (no display, or no OpenGL on it): run without --gui"
         )
@@ -76,7 +74,7 @@ def connect_window() -> int:
 
 def egl_works() -> bool:
     """Return whether PyBullet's EGL renderer draws on this machine."""
-    return find_spec(_EGL_MODULE) is not None and _works(_EGL_PROBE)
+    return find_spec(_EGL_MODULE) is not None and works(_EGL_PROBE)
 
 
 def load_egl(client: int) -> int:
@@ -100,29 +98,13 @@ def disconnect(client: int) -> None:
             pybullet.disconnect(physicsClientId=client)
 
 
-@cache
-def _works(probe: str) -> bool:
-    """Run a probe in another process; it works if the word ``works`` is its last."""
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", probe],
-            capture_output=True,
-            text=True,
-            timeout=_PROBE_TIMEOUT_S,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return done.returncode == 0 and "works" in done.stdout.split()
-
-
 _EGL_MODULE = "eglRenderer"
 _EGL_PLUGIN = "_eglRendererPlugin"
 
 _WINDOW_PROBE = """
 import pybullet
 client = pybullet.connect(pybullet.GUI)
-print("\\nworks" if client >= 0 else "\\nfails", flush=True)
+print("\\nanswer: works" if client >= 0 else "\\nanswer: fails", flush=True)
 """
 
 #: Draws a red box and looks at a pixel of it and at one beside it.
@@ -138,5 +120,5 @@ lens = p.computeProjectionMatrixFOV(60, 1, 0.1, 10)
 picture = p.getCameraImage(64, 64, view, lens, shadow=0, renderer=p.ER_BULLET_HARDWARE_OPENGL)[2]
 box, beside = picture[32][32], picture[2][2]
 drawn = box[0] > 2 * int(box[2]) and beside[2] > 100
-print("\\nworks" if drawn else "\\nfails", flush=True)
+print("\\nanswer: works" if drawn else "\\nanswer: fails", flush=True)
 """

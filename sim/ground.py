@@ -9,8 +9,10 @@ texture.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -28,7 +30,7 @@ Mask = NDArray[np.bool_]
 Single = NDArray[np.float32]
 
 #: A plane's texture repeats after this length (m): longer than what is seen of it at a time.
-_PERIOD_M = 16.0
+PERIOD_M = 16.0
 _SIDE_TEXELS = 2048
 _LEVELS = 8
 #: Blur of a filtered level in its own texels.
@@ -46,21 +48,30 @@ class PlaneTexture:
     """
 
     def __init__(self, paint: Paint, seed: int, which: int) -> None:
-        noise = periodic_noise(np.random.default_rng([seed, which]), _SIDE_TEXELS)
-        grey = np.clip(255.0 * (paint.shade + paint.contrast * np.tanh(noise)), 0.0, 255.0)
-        levels = [_smooth(grey.astype(np.float32), _SIGMA_TEXELS)]
-        while len(levels) < _LEVELS:
-            # Variances add up to twice the blur, before every other texel is dropped.
-            smooth = _smooth(levels[-1], _SIGMA_TEXELS * math.sqrt(3.0))
-            quarters = [smooth[i::2, j::2] for i in (0, 1) for j in (0, 1)]
-            levels.append(np.mean(quarters, axis=0, dtype=np.float32))
+        levels = list(islice(plane_levels(paint, seed, which), _LEVELS))
         self.sides = np.array([level.shape[0] for level in levels], np.float32)
         self.sheet, self.columns = _sheet(levels)
 
     def level_of(self, footprint_m: Array) -> NDArray[np.intp]:
         """Return the level whose blur fits pixels that cover ``footprint_m`` on the plane."""
-        exact = np.log2(np.maximum(footprint_m * _SIDE_TEXELS / _PERIOD_M, 1.0))
+        exact = np.log2(np.maximum(footprint_m * _SIDE_TEXELS / PERIOD_M, 1.0))
         return np.clip(np.rint(exact), 0, _LEVELS - 1).astype(np.intp)
+
+
+def plane_levels(paint: Paint, seed: int, which: int) -> Iterator[Single]:
+    """Yield a periodic texture of side `PERIOD_M` in grey levels, each half as fine as the last.
+
+    Each is blurred as its resolution needs; the first has 128 texels a metre.
+    """
+    noise = periodic_noise(np.random.default_rng([seed, which]), _SIDE_TEXELS)
+    grey = np.clip(255.0 * (paint.shade + paint.contrast * np.tanh(noise)), 0.0, 255.0)
+    level = _smooth(grey.astype(np.float32), _SIGMA_TEXELS)
+    while True:
+        yield level
+        # Variances add up to twice the blur, before every other texel is dropped.
+        smooth = _smooth(level, _SIGMA_TEXELS * math.sqrt(3.0))
+        quarters = [smooth[i::2, j::2] for i in (0, 1) for j in (0, 1)]
+        level = np.mean(quarters, axis=0, dtype=np.float32)
 
 
 @lru_cache(maxsize=8)
@@ -102,8 +113,8 @@ class _Plane:
             self._choose_levels(distance)
         s = np.float32(math.sin(pose.phi) * distance)
         c = np.float32(math.cos(pose.phi) * distance)
-        u = _fraction((c * part.x - s * part.y + np.float32(pose.x)) / _PERIOD_M)
-        v = _fraction((s * part.x + c * part.y + np.float32(pose.y)) / _PERIOD_M)
+        u = _fraction((c * part.x - s * part.y + np.float32(pose.x)) / PERIOD_M)
+        v = _fraction((s * part.x + c * part.y + np.float32(pose.y)) / PERIOD_M)
         u = u * self._scales[index] + self._columns[index]
         # The sheet's rim is one texel, the first texel's centre half a texel from its edge.
         v = v * self._scales[index] + np.float32(0.5)

@@ -11,6 +11,7 @@ from hal.faults import Faults
 from robots.documents import Document
 from sim.scene_files import check_scene_name
 
+RendererName = Literal["auto", "tiny", "egl", "gl"]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 
@@ -30,19 +31,21 @@ class SimOptions(Document):
 
     scene : name of a scene of this package, or the path of a scene file.
     boxes : what stands there besides.
-    renderer : ``tiny`` draws in software everywhere; ``egl`` needs a working EGL driver;
-        ``auto`` takes EGL where its probe succeeds. EGL pays off on a GPU only.
+    renderer : ``tiny`` draws in software everywhere, with the same bits; ``gl`` casts rays in an
+        OpenGL shader, several times as fast, and needs moderngl and a driver; ``egl`` is
+        PyBullet's and pays off on a GPU only; ``auto`` times all of them and takes the fastest.
     image_noise : standard deviation of the pixel noise (grey levels).
     blur_px : Gaussian blur of the optics (px).
     exposure : amplitude of slow, smooth changes of the image's gain (0.2: between 0.8 and 1.2).
-    detail : rendered pixels per image pixel, along a line; more costs time quadratically.
+    detail : rendered pixels per image pixel, along a line; more costs time quadratically. Whole
+        numbers for ``gl``, which rounds it, to 1 at least.
     show_floor : draw the textures of floor and ceiling; without, each is one shade.
     gui : show PyBullet's own window.
     """
 
     scene: str = "hall"
     boxes: tuple[Box, ...] = ()
-    renderer: Literal["auto", "tiny", "egl"] = "tiny"
+    renderer: RendererName = "tiny"
     image_noise: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
     blur_px: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     exposure: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0

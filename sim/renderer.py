@@ -2,12 +2,11 @@
 
 `Renderer` is the interface; `BulletRenderer` draws the faces of a `FaceLayout` with PyBullet's
 software renderer or its EGL plugin, in a physics client of its own that holds nothing but the
-scene. Another rasteriser is another subclass.
+scene. `sim.gl_renderer` casts rays instead; `sim.drawers` chooses.
 """
 
 from __future__ import annotations
 
-import sys
 from abc import ABC, abstractmethod
 from typing import Literal
 
@@ -16,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.central_camera import CentralCamera
-from hal.errors import InputError
 from hal.types import Pose
 from sim.drawn import DrawnScene, TextureFiles
-from sim.engine import connect, disconnect, egl_works, load_egl, pybullet
+from sim.engine import connect, disconnect, load_egl, pybullet
 from sim.faces import Face, PixelOrigin, plan_faces
 from sim.frames import TO_ENGINE, heading_matrix
 from sim.ground import Backdrop
@@ -27,10 +25,10 @@ from sim.scene import Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Drawer = Literal["tiny", "egl"]
+Rasteriser = Literal["tiny", "egl"]
 
 #: Where the first pixel of each rasteriser samples (measured with known points).
-PIXEL_ORIGINS: dict[Drawer, PixelOrigin] = {
+PIXEL_ORIGINS: dict[Rasteriser, PixelOrigin] = {
     "tiny": PixelOrigin(0.0, 1.0),
     "egl": PixelOrigin(0.5, 0.5),
 }
@@ -68,7 +66,7 @@ class BulletRenderer(Renderer):
     camera : CentralCamera
         What the image is made with.
     drawer : {"tiny", "egl"}
-        PyBullet's software renderer, or its EGL plugin (see `choose_drawer`).
+        PyBullet's software renderer, or its EGL plugin (see `sim.drawers`).
     detail : float
         Face pixels per image pixel (see `plan_faces`).
     floor : bool
@@ -79,7 +77,7 @@ class BulletRenderer(Renderer):
         self,
         scene: Scene,
         camera: CentralCamera,
-        drawer: Drawer = "tiny",
+        drawer: Rasteriser = "tiny",
         detail: float = 1.0,
         floor: bool = True,
     ) -> None:
@@ -144,27 +142,6 @@ class BulletRenderer(Renderer):
             physicsClientId=self._client,
         )
         return colour, depth
-
-
-def choose_drawer(wanted: Literal["auto", "tiny", "egl"]) -> Drawer:
-    """Return the drawer to use, after probing EGL where it is asked for.
-
-    Raises
-    ------
-    InputError
-        ``egl`` is wanted and does not work here.
-    """
-    if wanted == "tiny":
-        return "tiny"
-    if egl_works():
-        return "egl"
-    if wanted == "egl":
-        raise InputError(
-            "renderer 'egl' does not work on this machine: install an EGL driver (on Debian: "
-            "libegl1 libgl1-mesa-dri), or use renderer 'tiny'"
-        )
-    print("renderer: EGL does not work here, drawing in software", file=sys.stderr)
-    return "tiny"
 
 
 def _projection(face: Face) -> list[float]:

@@ -30,6 +30,9 @@ FINEST_SIGMA_M = _BASE_SIGMA / 2 / BASE_DENSITY
 #: Interpolated texels per texel that the content needs, for a renderer that shows the nearest
 #: texel: it shows features out of place by a fraction of one.
 NEAREST_TEXEL_FINENESS = 3.0
+#: An oblique surface is coarser in one direction only. Its texture is chosen for a resolution that
+#: is lower by this power of the angle's cosine: a compromise between both directions.
+OBLIQUENESS = 0.75
 #: Textures are not made larger than this (texels).
 _MOST_TEXELS = 2e6
 LEVELS = 6
@@ -96,9 +99,12 @@ class Levels:
 
         It has ``fineness`` interpolated texels, along a line, for each that its content needs.
         """
+        return _fine(self.plane(level), fineness if level else 2.0 * fineness)
+
+    def plane(self, level: int) -> Plane:
+        """Return level ``level`` in grey levels, at the resolution at which it was filtered."""
         if level == 0:
-            smooth = _blurred(self._base, _BASE_SIGMA / 2)
-            return _fine(smooth, 2.0 * fineness)
+            return _blurred(self._base, _BASE_SIGMA / 2)
         while len(self._filtered) < level:
             if not self._filtered:
                 self._filtered.append(_blurred(self._base, _BASE_SIGMA))
@@ -106,7 +112,7 @@ class Levels:
             # Variances add up: what is missing to twice the blur, before every other is dropped.
             last = _blurred(self._filtered[-1], _BASE_SIGMA * math.sqrt(3.0))
             self._filtered.append(_resized(last, 0.5))
-        return _fine(self._filtered[level - 1], fineness)
+        return self._filtered[level - 1]
 
 
 def periodic_noise(rng: np.random.Generator, side: int) -> Plane:

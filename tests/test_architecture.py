@@ -51,6 +51,7 @@ def test_imports_point_one_way(room: str) -> None:
         ("visctrl/perception", "sim"),
         ("visctrl/estimation", "sim"),
         ("visctrl/control", "sim"),
+        ("visctrl/obstacles", "sim"),
     ],
 )
 def test_rooms_leave_to_others_what_is_theirs(room: str, package: str) -> None:
@@ -60,7 +61,7 @@ def test_rooms_leave_to_others_what_is_theirs(room: str, package: str) -> None:
 
 
 def test_only_the_runtime_looks_at_the_wall_clock() -> None:
-    for folder in ("geometry", "perception", "estimation", "control"):
+    for folder in ("geometry", "perception", "estimation", "control", "obstacles"):
         for path in sorted((ROOT / "visctrl" / folder).rglob("*.py")):
             assert "time" not in imports_of(path), f"{path.relative_to(ROOT)} imports time"
 

@@ -16,9 +16,9 @@ GUIDE = Path(__file__).parent.parent / "docs" / "plugins.md"
 
 @pytest.fixture
 def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    code = re.search(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
-    assert code is not None
-    (tmp_path / "polar.py").write_text(code.group(1), encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+    for name, code in zip(("polar.py", "line.py"), blocks, strict=True):
+        (tmp_path / name).write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     return "controller.name=polar:Polar"
 
@@ -36,3 +36,11 @@ def test_the_example_reaches_the_target(example: str) -> None:
 def test_a_misspelt_option_of_the_example_is_named(example: str) -> None:
     with pytest.raises(InputError, match=r"k_roh.*did you mean 'k_rho'"):
         plan_with(example, "controller.k_roh=1")
+
+
+@pytest.mark.usefixtures("example")
+@pytest.mark.parametrize(("x", "status"), [(1.2, "reached"), (-0.2, "missed")])
+def test_the_obstacle_provider_keeps_the_robot_on_its_side(x: float, status: str) -> None:
+    """A line beside the way does no harm; one that the way crosses cannot be passed."""
+    settings = ("scheme=pose", f"obstacles=[{{name: 'line:Line', x_m: {x}}}]", "duration_s=50")
+    assert run_session(plan_with(*settings)).summary["status"] == status

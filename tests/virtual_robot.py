@@ -24,6 +24,7 @@ from hal.pioneer.emulator.character import ARCOS, Personality, character
 from hal.pioneer.emulator.emulator import Emulator
 from hal.pioneer.emulator.firmware import Firmware
 from hal.pioneer.emulator.ports import Port
+from hal.pioneer.emulator.world import World
 from hal.types import Velocity
 
 #: Where code keeps time that simulated time must reach.
@@ -228,10 +229,11 @@ class Site:
         subclass: str = "p3dx-sh",
         personality: Personality = ARCOS,
         seed: int = 0,
+        surroundings: World | None = None,
     ) -> Emulator:
         """Switch a robot on; its port is in ``url``."""
         line = self.ports.lines[url] = Line(self.world, url)
-        firmware = Firmware(character(subclass, personality))
+        firmware = Firmware(character(subclass, personality), world=surroundings)
         emulator = Emulator(firmware, line.port(), seed=seed)
         emulator.__enter__()
         self.robots.append(emulator)

@@ -49,6 +49,12 @@ class PluginChoice(Document):
         return dict(self.__pydantic_extra__ or {})
 
 
+class ProviderChoice(PluginChoice):
+    """An obstacle provider; there is none that a name could be left out for."""
+
+    name: str
+
+
 class CameraChoice(Document):
     """Which camera the robot carries, and where.
 
@@ -142,6 +148,7 @@ class Scenario(Document):
     perception: PluginChoice = PluginChoice()
     estimator: PluginChoice = PluginChoice()
     controller: PluginChoice = PluginChoice()
+    obstacles: tuple[ProviderChoice, ...] = ()
     approach: Approach = Approach()
     safety: SafetyOptions = SafetyOptions()
     tolerance: Tolerance = Tolerance()

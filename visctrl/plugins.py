@@ -1,17 +1,19 @@
 """The contracts between perception, estimation and control, and what passes between them.
 
-One tick: ``frame → Perception → Views → Estimator → Estimate → Controller → Decision``. A
-plugin is a class with a pydantic ``Options`` model; it is built as ``Plugin(options, context)``.
-It sees frames, the calibration and what was sent to the base; never the truth.
+One tick: ``frame → Perception → Views → Estimator → Estimate → Controller → Decision``; where
+the scenario names obstacle providers, ``Estimate → ObstacleProvider → Obstacle``s for the
+controller, too. A plugin is a class with a pydantic ``Options`` model; it is built as
+``Plugin(options, context)``. It sees frames, the calibration, range readings and what was sent
+to the base; never the truth.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from hal.central_camera import CentralCamera
 from hal.types import STANDSTILL, Frame, Range, Velocity
 from robots import Limits
 from robots.documents import Document
+from robots.model import Body
 
 Array = NDArray[np.float64]
 
@@ -45,6 +48,7 @@ class Context:
     seed : for every random choice a plugin makes.
     lockstep : time stands still during a tick, so results must not depend on how long work
         takes; on a wall clock, late background work may simply arrive later.
+    body : outline of the robot, about the axle's centre; None for a point.
     """
 
     camera: CentralCamera
@@ -53,6 +57,7 @@ class Context:
     period_s: float
     seed: int
     lockstep: bool
+    body: Body | None = None
 
 
 @dataclass(frozen=True)
@@ -65,9 +70,10 @@ class Views:
     ids : (N,) names of the features, stable over time.
     sigma : standard deviation of one bearing (rad), the same for all.
     stamp : exposure time of the current frame (s).
-    sigmas : (3, N) standard deviations of each bearing in the target, initial and current view
-        (rad), where they are known one by one: rays near the rim of an image are sharper, and a
-        target averaged over several frames is better than one frame. None: ``sigma`` for all.
+    sigmas : returns the standard deviations (3, N) of each bearing in the target, initial and
+        current view (rad), where they are known one by one: rays near the rim of an image are
+        sharper, and a target averaged over several frames is better than one frame. Few
+        estimators ask. None: ``sigma`` for all.
     """
 
     ids: NDArray[np.int64]
@@ -79,15 +85,21 @@ class Views:
     stamp: float
     health: Health = Health.OK
     reason: str = ""
-    sigmas: Array | None = None
+    sigmas: Callable[[], Array] | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
 
+    @classmethod
+    def nothing(cls, stamp: float, reason: str) -> Views:
+        """Return the views of a frame that must not be used, exposed at ``stamp`` (s)."""
+        ids, rays = np.empty(0, dtype=np.int64), np.empty((0, 3))
+        return cls(ids, rays, rays, rays, rays[:, :2], 0.0, stamp, Health.LOST, reason)
+
     def bearing_sigmas(self) -> Array:
         """Return the standard deviations (3, N) of the bearings: target, initial, current."""
         if self.sigmas is not None:
-            return self.sigmas
+            return self.sigmas()
         return np.full((3, len(self)), self.sigma)
 
 
@@ -121,8 +133,22 @@ class Estimate:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class Decision:
+class Obstacle(NamedTuple):
+    """A disc on the floor that the robot must not touch, as seen from the camera.
+
+    right, forward : its centre (m).
+    radius : (m).
+    certain : False for what may turn out smaller, or not to be there, when looked at from
+        elsewhere.
+    """
+
+    right: float
+    forward: float
+    radius: float
+    certain: bool = True
+
+
+class Decision(NamedTuple):
     """What a controller wants.
 
     phase : name of the part of its task that it is in.
@@ -152,6 +178,10 @@ class Plugin(ABC, Generic[OptionsT]):
     def values(self) -> Mapping[str, float]:
         """Return this tick's numbers by the names in ``signals``; absent ones stay empty."""
         return {}
+
+    def notes(self) -> Sequence[str]:
+        """Return what the user should know when the run is over, a sentence each."""
+        return ()
 
     def close(self) -> None:
         """Release what the plugin holds (threads, files)."""
@@ -204,19 +234,55 @@ class Estimator(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
         """
 
 
+class ObstacleProvider(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
+    """Knows what stands in the robot's way."""
+
+    #: Estimates that `update` accepts, checked when a run is put together.
+    accepts: ClassVar[type[Estimate]]
+    #: Whether it needs the base's range sensors; a backend without any is then refused.
+    listens: ClassVar[bool] = False
+
+    @abstractmethod
+    def update(
+        self, estimate: EstimateT, ranges: Sequence[Range], now: float
+    ) -> Sequence[Obstacle]:
+        """Return all obstacles that the robot must mind now, where they are seen from now.
+
+        Called in every tick whose estimate is not lost, those before the pose is known
+        included.
+
+        ranges : what the range sensors say now; empty for one that does not listen.
+        now : the time on a steady clock (s).
+        """
+
+    def expected(self) -> Sequence[Obstacle]:
+        """Return what it will certainly report one day, as seen from the target.
+
+        Nothing avoids these before `update` reports them; a task that ends in one is refused
+        before anything moves.
+        """
+        return ()
+
+
 class Controller(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
     """Turns geometry into a velocity."""
 
     #: Estimates that `update` accepts, checked when a scheme is put together.
     accepts: ClassVar[type[Estimate]]
+    #: Whether it heeds `sense`; one that does not is refused where there are obstacles.
+    avoids: ClassVar[bool] = False
 
-    @property
-    def listens(self) -> bool:
-        """Whether it wants to hear the base's range sensors: `sense` is called only then."""
-        return False
+    def expect(self, obstacles: Sequence[Obstacle]) -> None:
+        """Check that the task can be done with obstacles that will be met, seen from the target.
 
-    def sense(self, ranges: Sequence[Range]) -> None:
-        """Hear what the base's range sensors say, before `update`. The default is to ignore it."""
+        Raises
+        ------
+        InputError
+            It cannot; the message says why.
+        """
+
+    def sense(self, obstacles: Sequence[Obstacle]) -> None:
+        """Hear of all present obstacles, before `update`; only where there are providers."""
 
     @abstractmethod
     def update(self, estimate: EstimateT, t: float) -> Decision:

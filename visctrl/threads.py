@@ -10,8 +10,9 @@ import sys
 LINEAR_ALGEBRA = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
-#: Of a process that is one of as many as there are cores.
-ONE_THREAD = {**LINEAR_ALGEBRA, "OPENCV_FOR_THREADS_NUM": "1"}
+#: Of a process that is one of as many as there are cores; the last is Mesa's, which then draws in
+#: the thread that asks.
+ONE_THREAD = {**LINEAR_ALGEBRA, "OPENCV_FOR_THREADS_NUM": "1", "LP_NUM_THREADS": "0"}
 
 
 def limit_linear_algebra() -> None:

@@ -13,6 +13,7 @@ from hal.errors import InputError
 from hal.interfaces import Backend
 from hal.pioneer.base import PioneerBase
 from hal.pioneer.handshake import BAUDS
+from hal.pioneer.subclasses import ring_of
 from hal.types import Pose
 from robots import Limits, Robot
 from robots.documents import Document
@@ -78,6 +79,11 @@ class PioneerBackend(Backend):
             sonar=options.sonar,
         )  # fmt: skip
         self.camera = CaptureCamera(camera, options.camera, self.clock)
+
+    @classmethod
+    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+        """See `Backend.measures_ranges`: the sonar rings, unless they are switched off."""
+        return isinstance(options, PioneerOptions) and options.sonar and bool(ring_of(robot.name))
 
     def open(self) -> None:
         """Open the camera, then the robot, so that nothing can move without being seen.

@@ -214,7 +214,7 @@ class PioneerBase(Base):
 
     def ranges(self) -> list[Range]:
         """See `Base.ranges`: the sonar rings' echoes of the last second."""
-        return self._session().ranges(self._clock.now() - 1.0)
+        return self._session().ranges(self._clock.now(), oldest=1.0)
 
     # --- connecting --------------------------------------------------------------------------
 

@@ -81,14 +81,15 @@ class Telemetry:
             range_m = reading.range * self._subclass.range_mm / 1e3
             self.echoes[reading.number] = Echo(range_m, stamp)
 
-    def ranges(self, since: float) -> list[Range]:
-        """Return the sonar readings reported since then (s); infinite where nothing echoed."""
+    def ranges(self, now: float, oldest: float) -> list[Range]:
+        """Return the sonar readings at most ``oldest`` s old; infinite where nothing echoed."""
         ring, found = self._subclass.sonar, []
         for number, echo in sorted(dict(self.echoes).items()):
-            if echo.stamp >= since and number < len(ring):
+            if now - echo.stamp <= oldest and number < len(ring):
                 at = ring[number]
                 distance = echo.range_m if echo.range_m < NO_ECHO_M else math.inf
-                found.append(Range(-at.left_m, at.forward_m, -at.direction_rad, distance))
+                age = max(now - echo.stamp, 0.0)
+                found.append(Range(-at.left_m, at.forward_m, -at.direction_rad, distance, age))
         return found
 
     @property

@@ -1,4 +1,4 @@
-"""Perception that looks at nothing, for runs in which only the devices matter."""
+"""Plugins that look at nothing, for runs in which only the devices matter."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from hal.types import Frame
+from hal.types import Frame, Pose, Velocity
 from robots.documents import Document
-from visctrl.plugins import Match, Perception, Views
+from robots.unicycle import step_exact
+from visctrl.estimation.pose_estimate import PoseEstimate
+from visctrl.plugins import Estimator, Health, Match, Perception, Views
 
 
 class BlindOptions(Document):
@@ -31,3 +33,22 @@ class Blind(Perception[BlindOptions]):
     def update(self, frame: Frame) -> Views:
         rays = np.tile([0.0, 1.0, 0.0], (20, 1))
         return Views(np.arange(20), rays, rays, rays, np.zeros((20, 2)), 0.001, frame.stamp)
+
+
+class Reckoning(Estimator[BlindOptions, PoseEstimate]):
+    """Believes that it starts 3 m before the target, and in what was sent."""
+
+    Options: ClassVar[type[BlindOptions]] = BlindOptions
+
+    def reset(self) -> None:
+        self.pose = np.array([0.0, -3.0, 0.0])
+
+    def update(self, views: Views, sent: Velocity, dt: float) -> PoseEstimate:
+        ahead = self.context.camera_forward_m
+        self.pose = step_exact(self.pose, sent.v, sent.omega, dt, ahead)
+        return PoseEstimate(
+            health=Health.OK,
+            pose=Pose(*self.pose.tolist()),
+            covariance=1e-4 * np.eye(3),
+            initial=Pose(0.0, -3.0, 0.0),
+        )

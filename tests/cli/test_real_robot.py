@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from hal.pioneer.commands import Command, Id, decode_command
 from hal.pioneer.emulator.character import SIMULATOR, Personality
 from hal.pioneer.emulator.emulator import Emulator
 from hal.pioneer.emulator.firmware import STEP_S
+from hal.pioneer.emulator.world import Room
 from hal.pioneer.subclasses import SUBCLASSES
 from hal.types import STANDSTILL
 from visctrl.cli.main import main
@@ -61,6 +63,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.syspath_prepend(ROOT / "tests" / room)
     monkeypatch.setitem(REGISTRIES.perception.builtin, "blind", "blind_plugins:Blind")
     monkeypatch.setitem(REGISTRIES.estimators.builtin, "toy", "toy_plugins:ToyEstimator")
+    monkeypatch.setitem(REGISTRIES.estimators.builtin, "reckoning", "blind_plugins:Reckoning")
     monkeypatch.setitem(REGISTRIES.controllers.builtin, "toy", "toy_plugins:ToyController")
     return tmp_path
 
@@ -298,6 +301,40 @@ def test_camera_of_another_size_than_its_calibration(site: Site, robot: Emulator
     assert code == 3
     assert "it delivers 320x240" in messages
     assert robot.traffic.commands() == []
+
+
+# --- sonar -----------------------------------------------------------------------------------
+
+
+def test_the_sonar_of_the_robot_keeps_it_from_a_wall(site: Site, run: Run) -> None:
+    """The echoes of SIP packets reach the obstacle provider: the target lies behind a wall."""
+    room = Room(-2.5, 2.5, -2.0, 1.8)
+    robot = site.robot("/dev/robot", surroundings=room)
+    chosen = (
+        *("scheme=pose", "estimator={name: reckoning}", "duration_s=25"),
+        *("controller={name: pose-tracking, tau_s: 15}", "obstacles=[{name: sonar}]"),
+    )
+    code, summary, messages = run(*(part for text in chosen for part in ("--set", text)))
+    assert code == 1, messages
+    assert "had not finished" in str(summary["reason"])
+    assert -0.5 < robot.pose.y < room.y_max - 0.4
+    assert robot.velocity == STANDSTILL
+    with open("o/ticks.csv", encoding="utf-8") as file:
+        ticks = list(csv.DictReader(file))
+    phases = dict.fromkeys(tick["phase"] for tick in ticks)
+    assert list(phases)[:4] == ["path", "stop", "look", "back"]
+    assert float(ticks[-1]["sonar.cells [1]"]) > 10
+
+
+def test_sonar_that_is_switched_off_is_not_relied_on(run: Run) -> None:
+    chosen = ("scheme=pose", "controller={name: pose-tracking}", "pioneer.sonar=false")
+    code, _, messages = run(
+        *(part for text in chosen for part in ("--set", text)),
+        *("--set", "estimator={name: reckoning}", "--set", "obstacles=[{name: sonar}]"),
+    )
+    assert code == 2
+    assert "needs range sensors" in messages
+    assert "switched off" in messages
 
 
 # --- teaching --------------------------------------------------------------------------------

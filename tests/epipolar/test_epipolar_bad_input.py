@@ -14,7 +14,7 @@ from robots.errors import InputError
 from visctrl.config import load_scenario, parse_setting
 from visctrl.control.epipolar_smc import EpipolarSmc, EpipolarSmcOptions
 from visctrl.control.epipolar_smooth import EpipolarSmooth, EpipolarSmoothOptions
-from visctrl.estimation.epipole_pairs import solver_for
+from visctrl.estimation.epipole_solvers import solver_for
 from visctrl.estimation.epipoles import Epipoles, EpipolesOptions
 from visctrl.geometry.epipolar_planar import ONE_PLANE
 from visctrl.perception.klt import Klt, KltOptions

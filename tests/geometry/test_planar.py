@@ -11,9 +11,11 @@ from visctrl.geometry.parallax import signed_parallax
 from visctrl.geometry.planar import (
     essential_matrix,
     ransac_planar_motion,
+    refine_motions,
     refine_planar_motion,
     sampson_residuals,
 )
+from visctrl.geometry.planar_fit import RayPairs
 from visctrl.plugins import Health
 
 SIGMA = 2e-3
@@ -148,6 +150,40 @@ def test_clustered_features_are_degenerate():
     b = rays_seen(points, np.array([0.3, 0.1, 0.0]), rng, SIGMA)
     motion = ransac_planar_motion(a, b, SIGMA)
     assert motion.health is Health.DEGENERATE
+
+
+def test_features_all_in_one_place_say_nothing():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        a, b = rays_seen(scene(rng, 1), np.zeros(3)), rays_seen(scene(rng, 1), np.zeros(3))
+        start = rng.normal(size=2)
+        motion = refine_planar_motion(np.repeat(a, 6, 0), np.repeat(b, 6, 0), *start, SIGMA)
+        assert motion.health is not Health.OK
+
+
+@pytest.mark.parametrize("limit_sigmas", [np.inf, 8.0])
+def test_motions_refined_together_are_those_refined_alone(limit_sigmas):
+    """Bit by bit: of other rays, noise, features and starts, so that some need more steps."""
+    rng = np.random.default_rng(8)
+    sigmas = np.geomspace(1e-3, 8e-3, 9)
+    views = [pair(k, 0.7, 0.5, 0.3, sigma=sigma) for k, sigma in enumerate(sigmas.tolist())]
+    a, b = (np.array([each[side].T for each in views]) for side in (0, 1))
+    starts = (np.array([0.3, 0.5]) + rng.normal(size=(9, 2)) * 0.02).tolist()
+    present = rng.random((9, 60)) > 0.1
+    options = {"limit_sigmas": limit_sigmas}
+    together = refine_motions(RayPairs(a, b), starts, sigmas, present=present, **options)
+    for k, motion in enumerate(together):
+        one, here = slice(k, k + 1), present[k]
+        pairs = RayPairs(a[one], b[one])
+        (alone,) = refine_motions(pairs, starts[one], sigmas[k], present=present[one], **options)
+        assert (motion.phi, motion.direction) == (alone.phi, alone.direction)
+        np.testing.assert_array_equal(motion.covariance, alone.covariance)
+        np.testing.assert_array_equal(motion.inliers, alone.inliers)
+        # Features that are absent might as well not be there.
+        pairs = RayPairs(a[one][..., here], b[one][..., here])
+        (fewer,) = refine_motions(pairs, starts[one], sigmas[k], **options)
+        np.testing.assert_allclose(motion.covariance, fewer.covariance, rtol=1e-9)
+        np.testing.assert_array_equal(motion.inliers[here], fewer.inliers)
 
 
 def test_same_seed_same_bits():

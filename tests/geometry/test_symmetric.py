@@ -1,11 +1,11 @@
-"""2×2 matrices in plain floats against numpy."""
+"""Small matrices in plain floats against numpy."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from visctrl.geometry.symmetric import Symmetric2
+from visctrl.geometry.symmetric import Symmetric2, inverse4
 
 NUMBERS = st.floats(-3.0, 3.0)
 
@@ -28,3 +28,13 @@ def test_pseudo_inverse_of_a_matrix_of_rank_one_or_none(p: float, q: float) -> N
     M = np.outer(vector, vector)
     expected = np.linalg.pinv(M, hermitian=True, rcond=1e-12)
     assert_allclose(Symmetric2.of(M).pseudo_inverse().array, expected, rtol=1e-6, atol=1e-9)
+
+
+@given(st.lists(NUMBERS, min_size=10, max_size=10), st.floats(-9.0, 0.0))
+def test_the_inverse_of_four_holds_for_any_condition(numbers: list[float], least: float) -> None:
+    L = np.zeros((4, 4))
+    L[np.tril_indices(4)] = numbers
+    M = L @ L.T + 10.0**least * np.eye(4)
+    inverse = inverse4(M)
+    assert_allclose(inverse @ M, np.eye(4), atol=1e-13 * np.linalg.cond(M) + 1e-12)
+    assert_allclose(inverse, inverse.T, rtol=1e-12 * np.linalg.cond(M), atol=1e-12)

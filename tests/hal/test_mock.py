@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from hal.central_camera import CentralCamera, camera_names, load_camera
 from hal.errors import InputError, LinkError
-from hal.mock import MockBackend, MockOptions
-from hal.mock_scene import scatter, seen_from
+from hal.mock import MockBackend, MockOptions, Purpose
+from hal.mock_scene import scatter, scatter_many, seen_from
 from hal.types import Pose, Velocity
 from robots import Limits, load_robot
 from robots.unicycle import along_arc, step_exact
@@ -254,3 +254,26 @@ def test_closing_twice_is_fine_and_the_truth_is_gone(opened: Open) -> None:
     assert backend.truth() is None
     with pytest.raises(LinkError, match="closed"):
         backend.base.command(Velocity(0.1, 0.0))
+
+
+@pytest.mark.parametrize("camera", ["hypercatadioptric", "perspective"])
+def test_a_scene_does_not_depend_on_which_others_are_made_with_it(camera: str) -> None:
+    """Of many features, too, for which more has to be drawn; and beside a start that fails."""
+    model, mount = load_camera(camera), ROBOT.mount("centre")
+    starts = [Pose(0.1 * k, -1.0 - k, 0.05 * k) for k in range(4)] + [Pose(0.0, -2.0, math.pi)]
+    for count in (20, 1500):
+        rngs = [Purpose.SCENE.generator(seed) for seed in range(5)]
+        scenes = scatter_many(count, (2.0, 8.0), model, mount, starts, rngs)
+        assert (scenes[-1] is None) == (not model.panoramic)
+        for seed, (start, scene) in enumerate(zip(starts, scenes, strict=True)):
+            if scene is not None:
+                rng = Purpose.SCENE.generator(seed)
+                alone = scatter(count, (2.0, 8.0), model, mount, start, rng)
+                np.testing.assert_array_equal(scene, alone)
+
+
+def test_every_purpose_has_random_numbers_of_its_own() -> None:
+    drawn = {
+        (seed, purpose): purpose.generator(seed).random() for seed in (0, 1) for purpose in Purpose
+    }
+    assert len(set(drawn.values())) == len(drawn) == 10

@@ -29,12 +29,14 @@ class Run:
     """What came of a run.
 
     nees, nis, dof : one number a tick, from the first pose on.
+    noise_factor : by how much the filter thinks it was told of too little noise, at the end.
     """
 
     world: World
     finished: bool = False
     time: float = 0.0
     reason: str = ""
+    noise_factor: float = 1.0
     nees: list[float] = field(default_factory=list)
     nis: list[float] = field(default_factory=list)
     dof: list[float] = field(default_factory=list)
@@ -92,6 +94,7 @@ def drive(
             values = estimator.values()
             run.nis.append(values.get("nis", 0.0))
             run.dof.append(values.get("nis_dof", 0.0))
+            run.noise_factor = values.get("noise_factor", 1.0)
             run.path.append(world.pose.copy())
             run.sent.append((decision.velocity.v, decision.velocity.omega))
         if decision.finished:

@@ -100,7 +100,7 @@ class World:
             stamp=self.time,
             health=Health.OK if seen.any() else Health.LOST,
             reason="" if seen.any() else "no features",
-            sigmas=sigmas,
+            sigmas=lambda: sigmas,
         )
 
     def context(self, period: float, seed: int = 0) -> Context:

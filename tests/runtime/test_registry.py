@@ -7,11 +7,15 @@ from pathlib import Path
 import pytest
 
 from robots.errors import InputError
+from visctrl.config import load_scenario, parse_setting
+from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import Registries, estimate_type
+from visctrl.runtime.session import run_session
 
 PLUGINS = """
 import sys
-from visctrl.plugins import Controller, Decision, Estimate
+from visctrl.estimation.pose_estimate import PoseEstimate
+from visctrl.plugins import Controller, Decision, Estimate, Obstacle, ObstacleProvider
 from robots.documents import Document
 
 class Options(Document):
@@ -22,6 +26,15 @@ class Good(Controller):
     accepts = Estimate
     def update(self, estimate, t):
         return Decision(finished=True)
+
+class WallOptions(Document):
+    y_m: float = 1.0
+
+class Wall(ObstacleProvider):
+    Options = WallOptions
+    accepts = PoseEstimate
+    def update(self, estimate, ranges, now):
+        return [Obstacle(0.0, self.options.y_m - estimate.pose.y, 0.1)] if estimate.known else []
 
 class Unfinished(Controller):
     Options = Options
@@ -40,6 +53,9 @@ no-options = third_party:NoOptions
 number = third_party:not_a_class
 gone = third_party_gone:Good
 misspelt = third_party:God
+
+[visctrl.obstacles]
+wall = third_party:Wall
 """
 
 
@@ -61,6 +77,49 @@ def test_entry_points_extend_the_table_and_load_on_use(installed: Registries) ->
     assert installed.controllers.target("good") == "third_party:Good"
     assert "third_party" not in sys.modules
     assert installed.controllers.load("good").__name__ == "Good"
+
+
+def test_a_third_party_tells_of_obstacles(installed: Registries, tmp_path: Path) -> None:
+    def plan(*settings: str) -> Plan:
+        chosen = ("scheme=pose", "obstacles=[{name: wall, y_m: 1.5}]", *settings)
+        overrides = [parse_setting(text) for text in chosen]
+        return make_plan(load_scenario("mock", overrides, installed.backends.known()), installed)
+
+    assert "wall" in installed.obstacles.names()
+    chosen = plan()
+    assert chosen.effective()["obstacles"] == [{"name": "wall", "y_m": 1.5}]
+    outcome = run_session(chosen)
+    assert outcome.summary["status"] == "reached"
+    # In the way, it stops the robot.
+    outcome = run_session(plan("obstacles=[{name: wall, y_m: 0.1}]", "duration_s=5"))
+    assert outcome.summary["status"] == "missed"
+    with pytest.raises(InputError, match=r"obstacles\.0: unknown key 'why_m'.*did you mean 'y_m'"):
+        plan("obstacles=[{name: wall, why_m: 1}]")
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (
+            ["obstacles=[{name: sonar}]"],
+            "obstacles.0: obstacle provider 'sonar' needs range sensors",
+        ),
+        (["obstacles=[{name: sonar}]", "scheme=trifocal"], "'sonar' needs PoseEstimate, estimator"),
+        (
+            ["obstacles=[{name: listed}]", "controller.name=third_party:Good"],
+            "controller 'third_party:Good' does not avoid obstacles",
+        ),
+        (["obstacles=[{name: wall}, {name: wall}]"], "obstacles.1: .*'wall' is named twice"),
+        (["obstacles=[{name: wal}]"], "unknown obstacle provider 'wal'; .*did you mean 'wall'"),
+        (["obstacles=[{y_m: 1}]"], "obstacles.0.name' is missing"),
+    ],
+)
+def test_providers_that_do_not_fit_are_refused(
+    installed: Registries, settings: list[str], said: str
+) -> None:
+    overrides = [parse_setting(text) for text in ("scheme=pose", *settings)]
+    with pytest.raises(InputError, match=said):
+        make_plan(load_scenario("mock", overrides, installed.backends.known()), installed)
 
 
 @pytest.mark.parametrize(

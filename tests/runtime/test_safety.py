@@ -107,7 +107,10 @@ def test_a_moving_robot_needs_a_fresh_command() -> None:
 
 def test_limits_may_be_set_up_to_what_the_hardware_can_do() -> None:
     robot = load_robot("p3dx")
-    assert effective_limits(robot, SafetyOptions(), "x") == robot.operating
+    usual = effective_limits(robot, SafetyOptions(), "x")
+    assert usual == robot.operating.model_copy(
+        update={"wheel_m_s": robot.hardware.v_m_s, "track_m": robot.wheels.effective_track_m}
+    )
     limits = effective_limits(robot, SafetyOptions(v_m_s=0.1), "x")
     assert limits.v_m_s == 0.1
     assert limits.omega_deg_s == robot.operating.omega_deg_s

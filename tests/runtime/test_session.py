@@ -10,7 +10,7 @@ import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import yaml
@@ -98,6 +98,18 @@ def test_summary_has_exactly_the_keys_that_are_promised(toy_plan: MakePlan) -> N
     ]
     assert set(summary["lateness_ms"]) == set(summary["compute_ms"]) == {"median", "p99", "max"}
     assert summary["period_s"] == 0.1
+
+
+def test_signals_are_collected_where_somebody_reads_them(toy_plan: MakePlan) -> None:
+    class Indifferent(Watcher):
+        reads_signals: ClassVar[bool] = False
+
+    indifferent, watcher = Indifferent(), Watcher()
+    plan = toy_plan({"controller.drive_s": 0.5})
+    run_session(plan, observers=[indifferent])
+    assert {record.signals for record in indifferent.records} == {()}
+    run_session(plan, observers=[indifferent, watcher])
+    assert all(dict(record.signals)["toy"] for record in watcher.records)
 
 
 @pytest.mark.parametrize(

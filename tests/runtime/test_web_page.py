@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -283,7 +282,7 @@ def test_only_the_new_part_of_a_path_is_sent_and_its_memory_is_bounded(
     view = LiveView(toy_plan())
     edition, points = 0, []
     for k in range(20_000):
-        view.on_tick(replace(record, truth=Pose(0.02 * k, 0.0, 0.0)))
+        view.on_tick(record._replace(truth=Pose(0.02 * k, 0.0, 0.0)))
         if k % 500 == 0:
             sent = view.state(edition, len(points))["path"]
             points = (points if sent["edition"] == edition else [])[: sent["from"]] + sent["points"]
@@ -305,7 +304,7 @@ def test_images_are_encoded_once_for_all(toy_plan: MakePlan, record: TickRecord)
         view.on_initial(Frame(0.0, 1, grey), Match(0, 0, nothing, nothing))
         status, first, headers = ask(page, "/image")
         assert (status, headers["Content-Type"], first[:2]) == (200, "image/jpeg", b"\xff\xd8")
-        view.on_tick(replace(record, frame=Frame(0.0, 2, grey.T.copy())))
+        view.on_tick(record._replace(frame=Frame(0.0, 2, grey.T.copy())))
         assert view.image() == view.image()
         assert view.image()[1] is view.image()[1]
         assert ask(page, "/image")[1] != first
@@ -315,7 +314,7 @@ def test_values_that_are_no_numbers_do_not_break_the_page(
     toy_plan: MakePlan, record: TickRecord
 ) -> None:
     view = LiveView(toy_plan())
-    view.on_tick(replace(record, truth=Pose(float("nan"), 0.0, 0.0)))
+    view.on_tick(record._replace(truth=Pose(float("nan"), 0.0, 0.0)))
     json.dumps(view.state(0, 0), allow_nan=False)
 
 

@@ -14,6 +14,7 @@ from hal.errors import CameraError, InputError, LinkError
 from hal.types import Frame, Pose, Velocity
 from robots import Limits, load_robot
 from sim.backend import SimBackend
+from sim.drawers import DrawerName, drawer_problem
 from sim.options import SimOptions
 
 pytestmark = pytest.mark.sim
@@ -72,10 +73,20 @@ def test_teaching_visits_the_target_and_returns() -> None:
     assert np.mean(np.abs(seen - taught) > 4) < 0.01
 
 
-def test_the_same_seed_gives_the_same_bits() -> None:
+renderers = pytest.mark.parametrize("renderer", ["tiny", "gl"])
+
+
+def skip_without(renderer: DrawerName) -> None:
+    if problem := drawer_problem(renderer):
+        pytest.skip(problem)
+
+
+@renderers
+def test_the_same_seed_gives_the_same_bits(renderer: DrawerName) -> None:
+    skip_without(renderer)
     runs = []
     for seed in (3, 3, 4):
-        with opened(seed=seed) as backend:
+        with opened(seed=seed, renderer=renderer) as backend:
             backend.teach()
             frames = drive(backend, Velocity(0.2, 0.1), 0.5)
             runs.append((frames, backend.truth(), backend.base.odometry()))
@@ -152,8 +163,11 @@ def test_running_into_furniture_is_counted() -> None:
         assert backend.collisions() >= 1
 
 
-def test_an_item_may_be_moved_into_the_way() -> None:
-    with opened(start=Pose(0.0, -3.0, 0.0), image_noise=0.0) as backend:
+@renderers
+def test_an_item_may_be_moved_into_the_way(renderer: DrawerName) -> None:
+    skip_without(renderer)
+    start = Pose(0.0, -3.0, 0.0)
+    with opened(start=start, image_noise=0.0, renderer=renderer) as backend:
         before = pixels(backend.camera.read())
         backend.move("right column", Pose(0.0, -1.8, 0.0))
         backend.clock.sleep_until(0.1)
@@ -165,6 +179,21 @@ def test_an_item_may_be_moved_into_the_way() -> None:
         assert backend.collisions() >= 1
         with pytest.raises(InputError, match=r"no item 'colum'.*right column"):
             backend.move("colum", Pose(0.0, 0.0, 0.0))
+
+
+def test_two_at_once_live_in_worlds_of_their_own() -> None:
+    skip_without("gl")
+    with opened(image_noise=0.0, renderer="gl") as alone:
+        expected = [pixels(frame) for frame in drive(alone, Velocity(0.2, 0.1), 0.3)]
+    other_start = Pose(0.5, -2.0, 0.4)
+    with opened(image_noise=0.0, renderer="gl") as one:
+        for image in expected:
+            with opened(start=other_start, image_noise=0.0, renderer="gl") as other:
+                other.move("poster", Pose(1.0, 1.0, 0.0))
+                assert not np.array_equal(pixels(other.camera.read()), image)
+                assert np.array_equal(pixels(one.camera.read()), image)
+            one.base.command(Velocity(0.2, 0.1))
+            one.clock.sleep_until(one.clock.now() + 0.1)
 
 
 def test_a_start_in_furniture_starts_nothing() -> None:

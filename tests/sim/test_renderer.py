@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from hal.central_camera import CentralCamera, camera_names, load_camera
-from hal.errors import InputError
 from hal.types import Pose
-from sim import renderer as renderer_module
 from sim.accuracy import checker_room, measure_corners
-from sim.engine import egl_works
+from sim.drawers import DrawerName, drawer_problem, open_renderer
 from sim.frames import heading_matrix
-from sim.renderer import BulletRenderer, Drawer, choose_drawer
+from sim.renderer import Renderer
 from sim.scene import Item, Paint, Room, Scene
 
 pytestmark = pytest.mark.sim
@@ -31,8 +29,25 @@ SCENE = Scene(
 )
 
 
-def drawn(camera: CentralCamera, pose: Pose, scene: Scene = SCENE, **options: object) -> np.ndarray:
-    view = BulletRenderer(scene, camera, **options)  # type: ignore[arg-type]
+HYPER = load_camera("hypercatadioptric").resized(400, 300)
+
+
+@pytest.fixture(scope="module", params=["tiny", "gl"])
+def drawer(request: pytest.FixtureRequest) -> DrawerName:
+    name: DrawerName = request.param
+    skip_unless_it_works(name)
+    return name
+
+
+def skip_unless_it_works(name: DrawerName) -> None:
+    if problem := drawer_problem(name):
+        pytest.skip(problem)
+
+
+def drawn(
+    drawer: DrawerName, camera: CentralCamera, pose: Pose, scene: Scene = SCENE, **options: object
+) -> np.ndarray:
+    view = open_renderer(drawer, scene, camera, **options)  # type: ignore[arg-type]
     try:
         return view.render(pose, HEIGHT_M)
     finally:
@@ -40,9 +55,9 @@ def drawn(camera: CentralCamera, pose: Pose, scene: Scene = SCENE, **options: ob
 
 
 def check_corners(
-    camera: CentralCamera, drawer: Drawer, poses: list[Pose], coverage: float
+    camera: CentralCamera, drawer: DrawerName, poses: list[Pose], coverage: float
 ) -> None:
-    view = BulletRenderer(checker_room(), camera, drawer)
+    view = open_renderer(drawer, checker_room(), camera)
     try:
         found = measure_corners(view, camera, poses)
     finally:
@@ -59,42 +74,41 @@ def check_corners(
     [*(load_camera(name) for name in camera_names()), TILTED, UPWARD],
     ids=lambda camera: camera.name,
 )
-def test_known_corners_lie_where_the_model_says(camera: CentralCamera) -> None:
-    check_corners(camera, "tiny", POSES, 0.9 if camera.xi > 0 else 0.6)
+def test_known_corners_lie_where_the_model_says(drawer: DrawerName, camera: CentralCamera) -> None:
+    check_corners(camera, drawer, POSES, 0.9 if camera.xi > 0 else 0.6)
 
 
 @pytest.mark.parametrize("name", ["hypercatadioptric", "perspective"])
 def test_known_corners_lie_there_with_egl_too(name: str) -> None:
-    if not egl_works():
-        pytest.skip("no EGL driver here")
+    skip_unless_it_works("egl")
     check_corners(load_camera(name), "egl", POSES[:2], 0.4)
 
 
 @pytest.fixture(scope="module")
-def hyper() -> Iterator[BulletRenderer]:
-    view = BulletRenderer(SCENE, load_camera("hypercatadioptric").resized(400, 300))
+def hyper(drawer: DrawerName) -> Iterator[Renderer]:
+    view = open_renderer(drawer, SCENE, HYPER)
     yield view
     view.close()
 
 
-def test_the_same_view_gives_the_same_bits(hyper: BulletRenderer) -> None:
+def test_the_same_view_gives_the_same_bits(drawer: DrawerName, hyper: Renderer) -> None:
     first = hyper.render(POSES[0], HEIGHT_M)
-    other = drawn(hyper.camera, POSES[0])
+    other = drawn(drawer, HYPER, POSES[0])
     assert first.dtype == np.uint8
     assert first.shape == (300, 400)
     assert np.array_equal(first, other)
 
 
-def test_outside_the_mirror_it_is_black_and_inside_it_is_not(hyper: BulletRenderer) -> None:
+def test_outside_the_mirror_it_is_black_and_inside_it_is_not(hyper: Renderer) -> None:
     image = hyper.render(POSES[0], HEIGHT_M)
     v, u = np.mgrid[0:300, 0:400]
-    _, valid = hyper.camera.unproject(np.stack([u, v], axis=-1).astype(float))
+    _, valid = HYPER.unproject(np.stack([u, v], axis=-1).astype(float))
     assert (image[~valid] == 0).all()
     assert image[valid].min() > 0
     assert image[valid].std() > 15
 
 
-def test_turning_the_robot_turns_a_mirrors_image(hyper: BulletRenderer) -> None:
+def test_turning_the_robot_turns_a_mirrors_image(hyper: Renderer) -> None:
     straight = hyper.render(Pose(0.1, 0.2, 0.0), HEIGHT_M).astype(float)
     turned = hyper.render(Pose(0.1, 0.2, np.pi), HEIGHT_M).astype(float)
     half_turn = turned[::-1, ::-1]
@@ -104,7 +118,7 @@ def test_turning_the_robot_turns_a_mirrors_image(hyper: BulletRenderer) -> None:
 
 
 @pytest.mark.parametrize("up", [False, True], ids=["floor", "ceiling"])
-def test_floor_and_ceiling_move_as_planes_do(up: bool) -> None:
+def test_floor_and_ceiling_move_as_planes_do(drawer: DrawerName, up: bool) -> None:
     """Points of the plane look alike from two poses, and unlike if the plane is misplaced."""
     room = SCENE.room.model_copy(
         update={
@@ -119,7 +133,7 @@ def test_floor_and_ceiling_move_as_planes_do(up: bool) -> None:
     rng = np.random.default_rng(2)
     # The mirror shows the ceiling from far only, the floor from near.
     points = rng.uniform(-2.9, 2.9, (6000, 2)) if up else rng.uniform(-1.8, 1.8, (6000, 2))
-    images = {pose: drawn(camera, pose, scene) for pose in (a, b)}
+    images = {pose: drawn(drawer, camera, pose, scene) for pose in (a, b)}
 
     def look(pose: Pose, height: float) -> tuple[np.ndarray, np.ndarray]:
         world = np.column_stack([points, np.full(len(points), height)])
@@ -140,16 +154,16 @@ def test_floor_and_ceiling_move_as_planes_do(up: bool) -> None:
     assert likeness(misplaced) < likeness(plane) - 0.1
 
 
-def test_without_its_texture_the_floor_is_one_shade() -> None:
+def test_without_its_texture_the_floor_is_one_shade(drawer: DrawerName) -> None:
     camera = load_camera("paracatadioptric").resized(400, 300)
-    image = drawn(camera, Pose(0, 0, 0), floor=False)
+    image = drawn(drawer, camera, Pose(0, 0, 0), floor=False)
     near = np.array([[0.9, 0.0, -0.75], [-0.9, 0.1, -0.75], [0.1, -1.0, -0.75]])
     pixels, _ = camera.robot_pixels(near)
     shades = image[tuple(np.rint(pixels[:, ::-1]).astype(int).T)]
     assert np.ptp(shades) == 0
 
 
-def test_a_moved_item_is_seen_where_it_is(hyper: BulletRenderer) -> None:
+def test_a_moved_item_is_seen_where_it_is(drawer: DrawerName, hyper: Renderer) -> None:
     pose = Pose(0.0, 0.0, 0.0)
     before = hyper.render(pose, HEIGHT_M)
     hyper.place("box", Pose(1.9, -0.5, 0.7))
@@ -158,33 +172,20 @@ def test_a_moved_item_is_seen_where_it_is(hyper: BulletRenderer) -> None:
     assert np.array_equal(hyper.render(pose, HEIGHT_M), before)
     # The same as a scene that has it there from the beginning.
     item = SCENE.items[0].model_copy(update={"at_m": (1.9, -0.5), "yaw_deg": np.degrees(0.7)})
-    there = drawn(hyper.camera, pose, SCENE.model_copy(update={"items": (item,)}))
+    there = drawn(drawer, HYPER, pose, SCENE.model_copy(update={"items": (item,)}))
     assert np.mean(np.abs(after.astype(float) - there) > 8) < 0.003
     assert np.mean(np.abs(after.astype(float) - before) > 8) > 0.01
 
 
-def test_a_finer_or_coarser_layout_shows_the_same(hyper: BulletRenderer) -> None:
+def test_a_finer_or_coarser_layout_shows_the_same(drawer: DrawerName, hyper: Renderer) -> None:
     image = hyper.render(POSES[0], HEIGHT_M).astype(float)
     for detail in (0.7, 1.5):
-        other = drawn(hyper.camera, POSES[0], detail=detail).astype(float)
+        other = drawn(drawer, HYPER, POSES[0], detail=detail).astype(float)
         inside = image > 0
         assert np.corrcoef(image[inside], other[inside])[0, 1] > 0.95
 
 
-def test_egl_is_refused_or_replaced_where_it_does_not_work(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(renderer_module, "egl_works", lambda: False)
-    assert choose_drawer("tiny") == "tiny"
-    assert choose_drawer("auto") == "tiny"
-    assert "EGL does not work here" in capsys.readouterr().err
-    with pytest.raises(InputError, match="renderer 'egl' does not work"):
-        choose_drawer("egl")
-    monkeypatch.setattr(renderer_module, "egl_works", lambda: True)
-    assert choose_drawer("auto") == "egl"
-
-
-def test_closing_twice_is_harmless() -> None:
-    view = BulletRenderer(SCENE, load_camera("perspective").resized(160, 120))
+def test_closing_twice_is_harmless(drawer: DrawerName) -> None:
+    view = open_renderer(drawer, SCENE, load_camera("perspective").resized(160, 120))
     view.close()
     view.close()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import threading
 import time
 from pathlib import Path
 
@@ -28,12 +30,36 @@ def squared_at_second_try(task: tuple[int, str]) -> int:
     return number * number
 
 
+def squared_then_dying(number: int) -> int:
+    threading.Timer(0.02, os._exit, (3,)).start()
+    return number * number
+
+
+def a_lambda(number: int) -> object:
+    return lambda: number
+
+
+def held_back(number: int) -> bool:
+    """Return whether a signal would wait."""
+    return number in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
 def raising(number: int) -> int:
     raise ValueError(f"{number} is no good")
 
 
 def environment(names: list[str]) -> list[str | None]:
     return [os.environ.get(name) for name in names]
+
+
+def origin(modules: tuple[str, ...]) -> tuple[int, list[str]]:
+    """Return how many threads the process has that this one is forked from, and what is there.
+
+    That is, which of the modules were imported before this worker got anything to do.
+    """
+    status = Path(f"/proc/{os.getppid()}/status").read_text()
+    threads = next(line for line in status.splitlines() if line.startswith("Threads:"))
+    return int(threads.split()[1]), [name for name in modules if name in sys.modules]
 
 
 def printing(number: int) -> int:

@@ -85,7 +85,10 @@ def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
 
 
 def table(
-    path: Path, folder: Path, workers: Workers, on_done: Callable[[int], None] = lambda done: None
+    path: Path,
+    folder: Path,
+    workers: Workers,
+    on_done: Callable[[int, float], None] = lambda *done: None,
 ) -> bytes:
     study = load_study(str(path))
     with StudyLog(folder) as log, Interrupts() as interrupts:
@@ -102,7 +105,7 @@ def test_a_cluster_gives_the_table_that_one_process_gives(
     path.write_text(yaml.safe_dump(STUDY))
     expected = table(path, tmp_path / "here", LocalWorkers(1))
 
-    def kill_one(done: int) -> None:
+    def kill_one(done: int, simulated: float) -> None:
         if done == 5:
             dask.workers[0].kill()
 

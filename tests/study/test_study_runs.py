@@ -29,8 +29,10 @@ from visctrl.runtime.interrupts import Interrupts
 
 ROOT = Path(__file__).parents[2]
 #: Short runs that end for different reasons: too short a time, too few features, none in common.
+#: One by one, so that there is something to interrupt.
 STUDY: dict[str, Any] = {
     "title": "short runs",
+    "batched": False,
     "settings": {"duration_s": 0.5, "approach.enabled": False},
     "grid": {"mock.noise_px": [0, 0.5, 1], "mock.features": [60, 2]},
     "random": {"start.x_m": {"uniform": [-0.5, 0.5]}, "start.phi_deg": {"normal": [0, 10]}},
@@ -55,7 +57,7 @@ def undisturbed(file: Path) -> bytes:
 def table(study: LoadedStudy, folder: Path, workers: Workers, on_done: Any = None) -> bytes:
     study.check()
     with StudyLog(folder) as log, Interrupts() as interrupts:
-        died = run_study(study, log, workers, interrupts, on_done or (lambda done: None))
+        died = run_study(study, log, workers, interrupts, on_done or (lambda *done: None))
         [path, *_] = write_table(table_rows(study, log, died), folder)
     return path.read_bytes()
 
@@ -95,7 +97,7 @@ def test_two_workers_one_of_them_killed_give_the_same_table(
 ) -> None:
     killed = []
 
-    def kill_one(done: int) -> None:
+    def kill_one(done: int, simulated: float) -> None:
         if done >= 4 and not killed:
             victim = multiprocessing.active_children()[0]
             killed.append(victim)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+import pickle
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 import study_work
 
-from visctrl.experiments.workers import Died, LocalWorkers
+from visctrl.experiments.workers import PRELOADED, Died, LocalWorkers, begin_early
 from visctrl.threads import ONE_THREAD
 
 HERE = Path(__file__).parent
@@ -54,16 +57,84 @@ def test_an_item_whose_worker_dies_once_is_repeated(tmp_path: Path) -> None:
 
 
 def test_what_work_raises_is_raised() -> None:
-    with pytest.raises(ValueError, match="7 is no good"):
+    with pytest.raises(ValueError, match="7 is no good") as caught:
         list(LocalWorkers(1).each(study_work.raising, [7]))
+    assert "in raising" in "".join(caught.value.__notes__)
+
+
+def test_a_result_that_cannot_be_sent_is_an_error() -> None:
+    with pytest.raises((AttributeError, pickle.PicklingError), match=r"local|lambda"):
+        list(LocalWorkers(1).each(study_work.a_lambda, [7]))
+
+
+def test_workers_that_die_idle_are_replaced() -> None:
+    """Each kills itself a moment after its answer, and the next item comes later."""
+
+    def slowly() -> Iterator[int]:
+        for number in range(6):
+            yield number
+            time.sleep(0.1)
+
+    done = sorted(LocalWorkers(2).each(study_work.squared_then_dying, slowly()))
+    assert done == [(n, n * n) for n in range(6)]
 
 
 def test_workers_keep_to_one_thread_and_leave_the_callers_environment() -> None:
     before = dict(os.environ)
     names = list(ONE_THREAD)
     [(_, values)] = LocalWorkers(1).each(study_work.environment, [names])
-    assert values == ["1"] * len(names)
+    assert values == list(ONE_THREAD.values())
     assert dict(os.environ) == before
+
+
+def test_workers_have_the_environment_of_the_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not that of the moment when the first of them was made."""
+    name = "VISCTRL_TEST_OF_WORKERS"
+    assert list(LocalWorkers(1).each(study_work.environment, [[name]])) == [([name], [None])]
+    monkeypatch.setenv(name, "set since")
+    assert list(LocalWorkers(1).each(study_work.environment, [[name]])) == [([name], ["set since"])]
+    monkeypatch.delenv(name)
+    assert list(LocalWorkers(1).each(study_work.environment, [[name]])) == [([name], [None])]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers start from nothing there")
+def test_workers_are_forked_from_a_process_of_one_thread_that_has_imported_what_runs_need() -> None:
+    begin_early()
+    [(_, (threads, imported))] = LocalWorkers(1).each(study_work.origin, [PRELOADED])
+    assert threads == 1
+    assert imported == list(PRELOADED)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers start from nothing there")
+def test_workers_are_made_of_the_modules_that_their_parent_would_import(tmp_path: Path) -> None:
+    """A folder of the same name where the command is called is none of them."""
+    (tmp_path / "here" / "hal").mkdir(parents=True)
+    (tmp_path / "here" / "hal" / "__init__.py").write_text("raise SystemExit('the wrong one')\n")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import study_work\n"
+        "from visctrl.experiments.workers import LocalWorkers\n"
+        "if __name__ == '__main__':\n"
+        "    [(_, (_, imported))] = LocalWorkers(1).each(study_work.origin, [('hal.mock',)])\n"
+        "    print(imported)\n"
+    )
+    paths = os.pathsep.join(map(str, (ROOT, HERE)))
+    done = subprocess.run(
+        [sys.executable, script],
+        cwd=tmp_path / "here",
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "['hal.mock']\n"
+    assert done.stderr == ""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signals there")
+def test_ctrl_c_is_not_the_workers() -> None:
+    [(_, held_back)] = LocalWorkers(1).each(study_work.held_back, [signal.SIGINT])
+    assert held_back
 
 
 def test_stdout_is_not_the_workers(capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
-from typing import Literal
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -26,6 +26,9 @@ from visctrl.config import CameraChoice, Override, load_scenario
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import chosen_camera, make_plan
 from visctrl.runtime.registry import REGISTRIES
+
+if TYPE_CHECKING:
+    from sim.drawers import DrawerName
 
 _PACKAGES = (
     "numpy", "scipy", "opencv-python-headless", "pybullet", "filterpy", "pyyaml", "pyserial",
@@ -222,25 +225,25 @@ def camera_stream(source: str, choice: CameraChoice) -> Iterator[Finding]:
 
 def renderers(camera: CameraChoice) -> Iterator[Finding]:
     """Check the simulator's renderers, and how fast they draw."""
-    from sim.engine import egl_works
+    from sim.drawers import DRAWERS, drawer_problem
 
-    drawers: list[Literal["tiny", "egl"]] = ["tiny", "egl"] if egl_works() else ["tiny"]
     model = chosen_camera(camera)
-    for drawer in drawers:
+    for drawer in DRAWERS:
+        if problem := drawer_problem(drawer):
+            # Not a fault: the default one works everywhere.
+            yield Finding(Level.OK, f"renderer {drawer}", "does not work here", problem)
+            continue
         took = _median(list(_drawing_times(drawer, model)))
         found = f"{took:.0f} ms a picture of {model.width}x{model.height}"
         yield Finding(Level.OK, f"renderer {drawer}", found)
-    if "egl" not in drawers:
-        found = "does not work here (software rendering does)"
-        yield Finding(Level.OK, "renderer egl", found)
 
 
-def _drawing_times(drawer: Literal["tiny", "egl"], model: CentralCamera) -> Iterator[float]:
+def _drawing_times(drawer: DrawerName, model: CentralCamera) -> Iterator[float]:
     """Yield what single pictures take (ms)."""
-    from sim.renderer import BulletRenderer
+    from sim.drawers import open_renderer
     from sim.scene import load_scene
 
-    renderer = BulletRenderer(load_scene("hall"), model, drawer)
+    renderer = open_renderer(drawer, load_scene("hall"), model)
     try:
         for k in range(_PICTURES):
             begin = time.perf_counter()

@@ -45,6 +45,7 @@ def show_everything() -> None:
         ("perception", registries.perception),
         ("estimators", registries.estimators),
         ("controllers", registries.controllers),
+        ("obstacle providers", registries.obstacles),
     ):
         _show(console, title, ((name, registry.target(name)) for name in registry.names()))
 

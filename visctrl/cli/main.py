@@ -37,6 +37,13 @@ def main() -> None:
         sys.exit(error.exit_code)
 
 
+def _begin_workers() -> None:
+    """Have worker processes begin to import what this one imports too, at the same time."""
+    from visctrl.experiments.workers import begin_early
+
+    begin_early()
+
+
 def _show_version(wanted: bool) -> None:
     if wanted:
         from visctrl import __version__
@@ -280,11 +287,14 @@ def reproduce_command(
 
     Exit code 0 only if every row is at least as good as the published one.
     """
-    from visctrl.cli.reproduce import reproduce, show_entries
-
     if show_list:
+        from visctrl.cli.reproduce import show_entries
+
         show_entries()
         return
+    _begin_workers()
+    from visctrl.cli.reproduce import reproduce
+
     raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json))
 
 
@@ -361,6 +371,8 @@ def study_command(
     Stopped in any way, the same command goes on with the runs that are missing. Exit code: 0 if
     every run has ended (whether or not it arrived), 1 if some could not be run, 2 bad input.
     """
+    if cluster is None:
+        _begin_workers()
     from visctrl.cli.study import study as run_study
 
     try:

@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 from rich.console import Console
 from rich.status import Status
@@ -21,6 +21,8 @@ _RECENT = 50
 
 class Progress(Observer):
     """Shows time, distance to go where it is known, features and the cost of a tick."""
+
+    reads_signals: ClassVar[bool] = False
 
     def __init__(self, console: Console, plan: Plan, *, enabled: bool) -> None:
         self._console = console

@@ -39,10 +39,11 @@ class StudyProgress:
             BarColumn(),
             MofNCompleteColumn(),
             _Rate(),
+            TextColumn("{task.fields[pace]}"),
             TimeRemainingColumn(),
         )
         self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
-        self._task = self._bar.add_task("checking", total=None)
+        self._task = self._bar.add_task("checking", total=None, pace="")
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -60,44 +61,46 @@ class StudyProgress:
         """Show how many scenarios are checked."""
         self._bar.update(self._task, total=total, completed=done)
 
-    def ran(self, total: int) -> Callable[[int], None]:
-        """Return what takes the number of finished runs out of ``total``."""
+    def ran(self, total: int) -> Callable[[int, float], None]:
+        """Return what takes the number of finished runs out of ``total``, and their time (s)."""
         self._bar.remove_task(self._task)
         task: list[TaskID] = []
         lines = _Lines(self._console, total)
 
-        def show(done: int) -> None:
+        def show(done: int, simulated: float) -> None:
             if not task:  # those of an earlier call say nothing about the rate
-                task.append(self._bar.add_task("runs", total=total, completed=done))
-            self._bar.update(task[0], completed=done)
-            lines.show(done)
+                task.append(self._bar.add_task("runs", total=total, completed=done, pace=""))
+            pace = lines.show(done, simulated)
+            self._bar.update(task[0], completed=done, pace=pace)
 
         return show
 
 
 class _Lines:
-    """Lines in a log, where a bar cannot be rewritten."""
+    """How fast it goes, and lines in a log, where a bar cannot be rewritten."""
 
     def __init__(self, console: Console, total: int) -> None:
         self._console = console
         self._total = total
-        self._first: tuple[int, float] | None = None
+        self._first: tuple[int, float, float] | None = None
         self._shown_at = -_LOG_EVERY_S
 
-    def show(self, done: int) -> None:
+    def show(self, done: int, simulated: float) -> str:
+        """Add a line now and then; return how many times faster than real time it goes."""
         now = time.monotonic()
-        if self._first is None:
-            self._first = (done, now)
+        self._first = self._first or (done, simulated, now)
+        before, lived, began = self._first
+        pace = f"{(simulated - lived) / (now - began):,.0f} x real time" if done > before else ""
         finished = done == self._total
         if self._console.is_terminal or (now - self._shown_at < _LOG_EVERY_S and not finished):
-            return
+            return pace
         self._shown_at = now
-        before, began = self._first
         text = f"{done} of {self._total} runs"
         if done > before:
             rate = (done - before) / (now - began)
-            text += f", {rate:.2f} a second, {(self._total - done) / rate:.0f} s left"
+            text += f", {rate:.2f} a second, {pace}, {(self._total - done) / rate:.0f} s left"
         self._console.print(text, highlight=False, soft_wrap=True)
+        return pace
 
 
 class _Rate(ProgressColumn):

@@ -1,185 +1,219 @@
-"""Obstacles: how they come to be known, and intermediate goals that lead round them."""
+"""Stopping before obstacles, looking, planning a way round, backing off."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import product
+from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hal.types import Pose, Range
+from hal.types import STANDSTILL, Pose, Velocity
 from robots.documents import Document
 from robots.errors import InputError
-from visctrl.control.paths import path_between, reachable
+from visctrl.control.outline import Outline, moved, turned
+from visctrl.control.way_search import Drive, Point
+from visctrl.control.ways import WayFinder
+from visctrl.plugins import Context, Decision, Obstacle
 
 Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0.0)]
-Point = tuple[float, float]
+NonNegative = Annotated[float, Field(ge=0.0)]
 
-#: Places tried for an intermediate goal: beside the obstacle, in units of the clearance.
-_ASIDE = (1.05, 1.3, 1.6, 2.0, 2.6, 3.4)
-_ALONG = (0.0, 0.5, -0.5, 1.0, -1.0, 1.6, 2.4)
-#: Two echoes nearer than this (m) are one obstacle.
-_SAME_M = 0.15
-#: Radius (m) that an echo stands for.
-_ECHO_RADIUS_M = 0.1
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A disc on the floor, in the target's frame (m)."""
-
-    x: float
-    y: float
-    radius: float
-
-    def distance(self, points: Array) -> Array:
-        """Return the distance (...) of points (..., 2) from the disc's edge (m)."""
-        away = np.hypot(points[..., 0] - self.x, points[..., 1] - self.y)
-        return np.asarray(away - self.radius, dtype=np.float64)
+#: Share of the margin under which a way under way counts as blocked: what was planned with the
+#: whole margin is not given up for a centimetre.
+_TOLERATED = 0.5
+#: How far to either side the robot turns to see what is not certain, and how fast (rad, rad/s):
+#: each direction comes to lie at both edges of a sonar's cone, slowly enough for its cycle.
+_LOOK, _LOOK_RATE = math.radians(13.0), math.radians(10.0)
+_LOOKED = math.radians(1.0)
+#: How far the robot backs off at a time, before it would rather turn round, and in all (m), and
+#: how fast (m/s).
+_BACK_M, _BACK_FIRST_M, _BACK_MOST_M, _BACK_M_S = 0.3, 0.6, 1.8, 0.1
+#: Room that backing off needs behind (m), on the first leg and when turning.
+_STOPPING_M = 0.35
+#: A robot without a way tries again after this (s).
+_AGAIN_S = 2.0
 
 
-class ListedObstacle(Document):
-    """An obstacle of which the robot learns when it comes near.
+class AvoidanceOptions(Document):
+    """How obstacles are avoided.
 
-    x_m, y_m, radius_m : in the target's frame.
-    noticed_m : distance of the camera from its edge at which it is noticed.
+    margin_m : distance of the robot's outline from an obstacle, where there is room for it.
+    pause_s : how long the robot stops when something blocks its path.
     """
 
-    x_m: float
-    y_m: float
-    radius_m: Positive = 0.3
-    noticed_m: Positive = 2.0
-
-    @property
-    def obstacle(self) -> Obstacle:
-        """The obstacle itself."""
-        return Obstacle(self.x_m, self.y_m, self.radius_m)
+    margin_m: Annotated[float, Field(gt=0.0)] = 0.12
+    pause_s: NonNegative = 1.0
 
 
-class ObstacleProvider(ABC):
-    """A source of obstacles."""
-
-    @abstractmethod
-    def noticed(self, pose: Pose, ranges: Sequence[Range]) -> list[Obstacle]:
-        """Return all obstacles noticed so far.
-
-        pose : estimated camera pose in the target's frame (m, m, rad).
-        ranges : what the range sensors say now.
-        """
+class _State(StrEnum):
+    FREE = "free"
+    STOP = "stop"
+    LOOK = "look"
+    BACK = "back"
+    BLOCKED = "blocked"
 
 
-class ListedObstacles(ObstacleProvider):
-    """Obstacles of a scenario, each noticed from its own distance."""
-
-    def __init__(self, listed: Sequence[ListedObstacle]) -> None:
-        self._ahead = list(listed)
-        self._noticed: list[Obstacle] = []
-
-    def noticed(self, pose: Pose, ranges: Sequence[Range]) -> list[Obstacle]:
-        """Return those that the camera has been near enough to (see the contract)."""
-        del ranges
-        here = np.array(pose[:2])
-        for known in list(self._ahead):
-            if known.obstacle.distance(here) <= known.noticed_m:
-                self._ahead.remove(known)
-                self._noticed.append(known.obstacle)
-        return list(self._noticed)
-
-
-class EchoedObstacles(ObstacleProvider):
-    """Obstacles that range sensors meet; each echo is a small disc where it came from.
+class Avoidance:
+    """What a robot does about obstacles; it holds what it knows of them.
 
     Parameters
     ----------
-    reach : float
-        Longer ranges are not believed (m).
-    camera_forward : float
-        Camera ahead of the axle, from which ranges are measured (m).
+    options : AvoidanceOptions
+    context : Context
     """
 
-    def __init__(self, reach: float, camera_forward: float) -> None:
-        self._reach = reach
-        self._forward = camera_forward
-        self._noticed: list[Obstacle] = []
+    def __init__(self, options: AvoidanceOptions, context: Context) -> None:
+        self._options = options
+        self._period = context.period_s
+        self._finder = WayFinder(
+            Outline.of(context.body), context.camera_forward_m, options.margin_m
+        )
+        self._seen: Sequence[Obstacle] = ()
+        self._state = _State.FREE
+        self._since = 0.0
+        self._look: list[float] = []
+        self._looked = False
+        self._backed = 0.0
+        self._back_from: Point = (0.0, 0.0)
 
-    def noticed(self, pose: Pose, ranges: Sequence[Range]) -> list[Obstacle]:
-        """Return every place that sent an echo so far (see the contract)."""
-        s, c = math.sin(pose.phi), math.cos(pose.phi)
-        for echo in ranges:
-            if not echo.distance < self._reach:
-                continue
-            right = echo.right + (echo.distance + _ECHO_RADIUS_M) * math.sin(echo.bearing)
-            forward = echo.forward + (echo.distance + _ECHO_RADIUS_M) * math.cos(echo.bearing)
-            forward -= self._forward
-            x, y = pose.x + c * right - s * forward, pose.y + s * right + c * forward
-            if all(math.dist((x, y), (o.x, o.y)) > _SAME_M for o in self._noticed):
-                self._noticed.append(Obstacle(x, y, _ECHO_RADIUS_M))
-        return list(self._noticed)
+    def expect(self, goals: Mapping[str, Point], obstacles: Sequence[Obstacle]) -> None:
+        """Raise InputError where a goal, by name, leaves less than the margin.
 
-
-def refuse_blocked(
-    goals: Mapping[str, Point], listed: Sequence[ListedObstacle], clearance: float
-) -> None:
-    """Raise InputError where a goal, by name, is too near an obstacle of the scenario."""
-    for k, each in enumerate(listed):
+        goals : (x, y) of the camera in the target's frame, reached with the heading 0 (m).
+        """
+        if not obstacles:
+            return
+        discs = _discs(obstacles, Pose(0.0, 0.0, 0.0))
         for name, goal in goals.items():
-            free = float(each.obstacle.distance(np.array(goal)))
-            if free < clearance:
+            gaps = self._finder.gaps(goal, discs)
+            worst = int(gaps.argmin())
+            if gaps[worst] < self._options.margin_m:
+                x, y, _ = discs[worst].tolist()
                 raise InputError(
-                    f"controller.obstacles.{k}: {name} is {max(free, 0.0):.2f} m from its edge "
-                    f"and needs {clearance:g} m (controller.clearance_m)"
+                    f"obstacles: {name} leaves {max(float(gaps[worst]), 0.0):.2f} m to the one at "
+                    f"({x:g}, {y:g}) m, and {self._options.margin_m:g} m are needed "
+                    "(controller.margin_m): move one of them"
                 )
 
+    def sense(self, obstacles: Sequence[Obstacle]) -> None:
+        """Keep what there is now."""
+        self._seen = obstacles
 
-def blocking(points: Array, obstacles: Sequence[Obstacle], clearance: float) -> list[Obstacle]:
-    """Return the obstacles that a way (K, 2) passes nearer than ``clearance`` (m).
+    @property
+    def aware(self) -> bool:
+        """Whether there is anything to be done or to be minded."""
+        return bool(self._seen) or not self.free
 
-    An obstacle that is too near already blocks only a way that comes nearer still.
-    """
-    found = []
-    for obstacle in obstacles:
-        distance = obstacle.distance(points)
-        if distance.min() < min(clearance, float(distance[0]) - 0.02):
-            found.append(obstacle)
-    return found
+    @property
+    def free(self) -> bool:
+        """Whether nothing is being done about an obstacle."""
+        return self._state is _State.FREE
+
+    def may_advance(self) -> bool:
+        """Return whether the robot, not knowing where it is, may go straight ahead."""
+        here = Pose(0.0, 0.0, 0.0)
+        way = moved(self._finder.axle(here), _STOPPING_M)
+        return not self._seen or self._finder.clear(way, _discs(self._seen, here), share=_TOLERATED)
+
+    def may_turn(self, pose: Pose, by: float) -> bool:
+        """Return whether the robot may turn on the spot by an angle (rad)."""
+        way = turned(self._finder.axle(pose), by)
+        return not self._seen or self._finder.clear(way, _discs(self._seen, pose), share=_TOLERATED)
+
+    def blocked(self, pose: Pose, axle: Array, last: Point | None) -> bool:
+        """Return whether the way ahead is not clear; the robot then has to `halt`.
+
+        axle : (P, 3) poses of the axle on the way, from here on.
+        last : where the camera will stop for good (m), if that is where the way leads.
+        """
+        discs = _discs(self._seen, pose)
+        return bool(self._seen) and not self._finder.clear(axle, discs, last, _TOLERATED)
+
+    def halt(self, t: float) -> Decision:
+        """Stop, at a time (s); from now on `decide` says what to do."""
+        self._state, self._since = _State.STOP, t
+        self._looked, self._backed = False, 0.0
+        return Decision(STANDSTILL, _State.STOP.value)
+
+    def decide(
+        self, pose: Pose, goal: Point, drive: Drive, t: float, *, final: bool
+    ) -> Decision | list[Point]:
+        """Return what to do about what blocks the way, or the intermediate goals that lead round.
+
+        Parameters
+        ----------
+        pose : Pose
+            Of the camera.
+        goal : (x, y)
+            Where it is to go (m).
+        drive : Drive
+        t : float
+            Time (s).
+        final : bool
+            Whether the robot stops there for good.
+        """
+        discs = _discs(self._seen, pose)
+        if self._state is _State.STOP:
+            if t - self._since < self._options.pause_s:
+                return Decision(STANDSTILL, _State.STOP.value)
+            self._begin_look(pose)
+        if self._state is _State.LOOK:
+            turn = self._turn(pose)
+            if turn is not None:
+                return turn
+        if self._state is _State.BACK:
+            if math.dist(self._back_from, pose[:2]) < _BACK_M and self._may_back(pose, discs):
+                return Decision(Velocity(-_BACK_M_S, 0.0), _State.BACK.value)
+            self._backed += _BACK_M
+        if self._state is _State.BLOCKED and t - self._since < _AGAIN_S:
+            return Decision(STANDSTILL, _State.BLOCKED.value)
+        way: list[Point] | None = []
+        if len(discs):
+            retreat = self._backed >= _BACK_FIRST_M or not self._may_back(pose, discs)
+            way = self._finder.way(pose, goal, discs, drive, final=final, retreat=retreat)
+        if way is not None:
+            self._state = _State.FREE
+            return way
+        return self._give_way(pose, discs, t)
+
+    def _begin_look(self, pose: Pose) -> None:
+        self._state, self._look = _State.LOOK, []
+        if not self._looked and not all(obstacle.certain for obstacle in self._seen):
+            self._look = [pose.phi + _LOOK, pose.phi - _LOOK]
+        self._looked = True
+
+    def _turn(self, pose: Pose) -> Decision | None:
+        """Return the next step of a look to either side; None when it is over."""
+        while self._look:
+            left = math.remainder(self._look[0] - pose.phi, math.tau)
+            if abs(left) > max(_LOOKED, 0.5 * _LOOK_RATE * self._period) and self.may_turn(
+                pose, left
+            ):
+                return Decision(Velocity(0.0, math.copysign(_LOOK_RATE, left)), _State.LOOK.value)
+            self._look.pop(0)
+        return None
+
+    def _give_way(self, pose: Pose, discs: Array, t: float) -> Decision:
+        """Back off, or stand where that is not possible."""
+        if self._backed < _BACK_MOST_M and self._may_back(pose, discs):
+            self._state, self._back_from = _State.BACK, (pose.x, pose.y)
+            return Decision(Velocity(-_BACK_M_S, 0.0), _State.BACK.value)
+        self._state, self._since = _State.BLOCKED, t
+        return Decision(STANDSTILL, _State.BLOCKED.value)
+
+    def _may_back(self, pose: Pose, discs: Array) -> bool:
+        way = moved(self._finder.axle(pose), -0.5 * _STOPPING_M)
+        return self._finder.clear(way, discs, share=_TOLERATED)
 
 
-def way_round(
-    here: Point, goal: Point, obstacles: Sequence[Obstacle], clearance: float, straight: float
-) -> Point | None:
-    """Return the intermediate goal of the shortest clear way to a goal, None if there is none.
-
-    Both parts are paths that end along the y axis, as the tracker drives them (`path_between`).
-
-    Parameters
-    ----------
-    here, goal : (x, y) in the target's frame (m).
-    obstacles : sequence of Obstacle
-    clearance : float
-        Of the camera's path from an obstacle's edge (m).
-    straight : float
-        Straight end of each path (m).
-    """
-    direct = path_between(here, goal, straight).points()
-    in_the_way = blocking(direct, obstacles, clearance)
-    best, shortest = None, math.inf
-    for obstacle, aside, along, side in product(in_the_way, _ASIDE, _ALONG, (-1.0, 1.0)):
-        reach = obstacle.radius + clearance
-        between = (obstacle.x + side * aside * reach, obstacle.y + along * reach)
-        if not (reachable(here, between) and reachable(between, goal)):
-            continue
-        first = path_between(here, between, straight)
-        second = path_between(between, goal, straight)
-        length = first.length + second.length
-        if length >= shortest or blocking(first.points(), obstacles, clearance):
-            continue
-        if not blocking(second.points(), obstacles, clearance):
-            best, shortest = between, length
-    return best
+def _discs(obstacles: Sequence[Obstacle], pose: Pose) -> Array:
+    """Return obstacles as x, y, radius (M, 3) in the target's frame (m)."""
+    seen = np.array([obstacle[:3] for obstacle in obstacles], dtype=np.float64).reshape(-1, 3)
+    s, c = math.sin(pose.phi), math.cos(pose.phi)
+    right, forward = seen[:, 0], seen[:, 1]
+    x, y = pose.x + c * right - s * forward, pose.y + s * right + c * forward
+    return np.stack([x, y, seen[:, 2]], axis=-1)

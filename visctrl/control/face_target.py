@@ -17,7 +17,7 @@ from visctrl.plugins import Context, Controller, Decision, Estimate, Health, Sig
 Positive = Annotated[float, Field(gt=0.0)]
 Angle = Annotated[float, Field(gt=0.0, lt=180.0)]
 #: A robot told to turn slower than this (rad/s) counts as standing.
-_STANDING = math.radians(1.5)
+STANDING = math.radians(1.5)
 
 
 class FaceTargetOptions(Document):
@@ -74,7 +74,7 @@ class FaceTarget(Controller[FaceTargetOptions, PlanarMotionEstimate]):
         if not turning and abs(bearing) <= math.radians(self.options.start_deg):
             return Decision(STANDSTILL, "facing", finished=True)
         aligned = abs(bearing) <= math.radians(self.options.end_deg)
-        standing = abs(self._sent.omega) <= _STANDING
+        standing = abs(self._sent.omega) <= STANDING
         self._steady = self._steady + 1 if aligned and standing else 0
         if self._steady >= self.options.steady_ticks:
             return Decision(self._shaper.stop(), "facing", finished=True)

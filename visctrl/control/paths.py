@@ -14,16 +14,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robots import Limits
-from robots.unicycle import wrap_angle
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
+#: Farther from the path's direction than this (rad), the robot turns on the spot first.
+TURN_FROM, TURN_TO = math.radians(100.0), math.radians(20.0)
+
+#: Largest share of a path's height that its straight end takes.
+STRAIGHT_SHARE = 0.4
 #: Samples of a path, and of its timing.
 _SAMPLES = 400
 
@@ -63,8 +69,13 @@ class ParabolicPath:
     def points(self, count: int = _SAMPLES) -> Array:
         """Return points (count, 2) of the path, dense towards its ends as its timing is."""
         way = (1.0 + np.cos(np.linspace(0.0, np.pi, count))) / 2.0
-        ys = self.goal[1] + (self.start[1] - self.goal[1]) * way
-        return np.array([(self._lateral(y)[0], y) for y in ys.tolist()])
+        return self.at_heights(self.goal[1] + (self.start[1] - self.goal[1]) * way)
+
+    def at_heights(self, y: Array) -> Array:
+        """Return the points (K, 2) of the path at some heights (K,)."""
+        apex, span = map(np.asarray, self._bend)
+        lateral = self.start[0] - self.goal[0]
+        return np.stack([self.goal[0] + lateral * bend(y, apex, span) ** 2, y], axis=-1)
 
     @property
     def length(self) -> float:
@@ -79,53 +90,52 @@ class ParabolicPath:
 
     def _lateral(self, y: float) -> tuple[float, float]:
         """Return x and dx/dy at a height."""
+        apex, span = self._bend
+        lateral = self.start[0] - self.goal[0]
+        ratio = bend(y, apex, span)
+        return self.goal[0] + lateral * ratio**2, 2.0 * lateral * ratio / span
+
+    @cached_property
+    def _bend(self) -> tuple[float, float]:
+        """Height of the apex, and the start's above it (m)."""
         up = math.copysign(1.0, self.goal[1] - self.start[1])
         apex = self.goal[1] - up * self.straight
-        span = self.start[1] - apex
-        if (y - apex) * up >= 0.0 or span == 0.0:
-            return self.goal[0], 0.0
-        lateral = self.start[0] - self.goal[0]
-        ratio = (y - apex) / span
-        return self.goal[0] + lateral * ratio**2, 2.0 * lateral * ratio / span
+        return apex, (self.start[1] - apex) or -up * 1e-9
+
+
+Height = TypeVar("Height", float, Array)
+
+
+def bend(y: Height, apex: Height, span: Height) -> Height:
+    """Return how far along the bent part of a path a height is: 1 at its start, 0 from the apex on.
+
+    y, apex, span : heights (m), all floats or all arrays; ``span`` is the start's above the apex.
+    """
+    ratio = (y - apex) / span
+    return ratio * (ratio > 0.0)
 
 
 def path_between(
     start: tuple[float, float], goal: tuple[float, float], straight: float
 ) -> ParabolicPath:
     """Return the path to a goal with a straight end of ``straight`` m, less on a short way."""
-    return ParabolicPath(start, goal, min(straight, 0.4 * abs(goal[1] - start[1])))
+    return ParabolicPath(start, goal, float(straight_end(straight, goal[1] - start[1])))
 
 
-class Demand(NamedTuple):
-    """Largest values that following a path asks for when it takes one second.
-
-    v, omega : speeds (m, rad); they fall as 1/τ.
-    v_change, omega_change : accelerations (m, rad); they fall as 1/τ².
-    """
-
-    v: float
-    omega: float
-    v_change: float
-    omega_change: float
-
-    def time(self, limits: Limits | None, reserve: float) -> float:
-        """Return the shortest time (s) for which ``reserve`` of each limit is enough."""
-        if limits is None:
-            return 0.0
-        return max(
-            self.v / (reserve * limits.v_m_s),
-            self.omega / (reserve * limits.omega_rad_s),
-            math.sqrt(self.v_change / (reserve * limits.acceleration_m_s2)),
-            math.sqrt(self.omega_change / (reserve * limits.angular_acceleration_rad_s2)),
-        )
+def straight_end(straight: float, ahead: ArrayLike) -> Array:
+    """Return the straight ends (m) of paths that lead so far ahead (m)."""
+    return np.minimum(straight, STRAIGHT_SHARE * np.abs(ahead))
 
 
-def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
-    """Return what a robot needs to follow a path from its present heading.
+def path_time(
+    path: ParabolicPath, heading: float, lever: float, limits: Limits | None, reserve: float
+) -> float:
+    """Return the shortest time (s) in which a robot follows a path from its present heading.
 
     With the control point on the path, v = |xd'| cos ε and ω = |xd'| sin ε / ℓ, ε being the
     path's direction less the heading; along a piece of the way without a turn tan(ε/2) falls as
-    exp(−s/ℓ), which is exact and needs no small steps.
+    exp(−s/ℓ), which is exact and needs no small steps. Speeds, those of the wheels too, fall as
+    1/τ and accelerations as 1/τ².
 
     Parameters
     ----------
@@ -134,31 +144,41 @@ def path_demand(path: ParabolicPath, heading: float, lever: float) -> Demand:
         Of the robot at the path's start (rad).
     lever : float
         Control point ahead of the axle, ℓ (m).
+    limits : Limits or None
+        What the robot can do; None for any.
+    reserve : float
+        Share of each limit that the path may ask for.
     """
+    if limits is None:
+        return 0.0
     step = np.diff(path.points(), axis=0)
     length = np.maximum(np.linalg.norm(step, axis=1), 1e-12)
     direction = np.arctan2(-step[:, 0], step[:, 1])
-    speed = length * len(length)
     error = np.empty(len(length))
     phi = heading
     for k, (ahead, way) in enumerate(zip(direction.tolist(), length.tolist(), strict=True)):
-        before = float(wrap_angle(ahead - phi))
+        before = math.remainder(ahead - phi, math.tau)
         after = 2.0 * math.atan(math.tan(before / 2.0) * math.exp(-way / lever))
         error[k] = 0.5 * (before + after)
         phi = ahead - after
+    # Velocities, and their changes, if it took one second.
+    speed = length * len(length)
     v, omega = speed * np.cos(error), speed * np.sin(error) / lever
-    return Demand(
-        float(np.abs(v).max()),
-        float(np.abs(omega).max()),
-        float(np.abs(np.diff(v, prepend=0.0, append=0.0)).max()) * len(length),
-        float(np.abs(np.diff(omega, prepend=0.0, append=0.0)).max()) * len(length),
+    v_change, omega_change = (
+        np.abs(np.diff(part, prepend=0.0, append=0.0)).max() * len(length) for part in (v, omega)
+    )
+    fastest = max(map(limits.ratio, v.tolist(), omega.tolist()))
+    return max(
+        fastest / reserve,
+        math.sqrt(v_change / (reserve * limits.acceleration_m_s2)),
+        math.sqrt(omega_change / (reserve * limits.angular_acceleration_rad_s2)),
     )
 
 
-def reachable(start: tuple[float, float], goal: tuple[float, float]) -> bool:
-    """Return whether a parabola leads from a point to a goal without a violent start."""
-    ahead = goal[1] - start[1]
-    return ahead > 0.0 and ahead >= 0.5 * abs(start[0] - goal[0])
+def reachable(start: ArrayLike, goal: ArrayLike) -> Mask:
+    """Return whether parabolas lead from points (..., 2) to goals without a violent start."""
+    way = np.asarray(goal, dtype=np.float64) - np.asarray(start, dtype=np.float64)
+    return (way[..., 1] > 0.0) & (way[..., 1] >= 0.5 * np.abs(way[..., 0]))
 
 
 def detour(start: tuple[float, float], goal: tuple[float, float]) -> tuple[float, float]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from hal.actuation import towards
 from hal.types import STANDSTILL, Velocity
 from robots import Limits
 
 #: What an ARCOS base takes: whole mm/s and whole deg/s.
-_V_STEP = 1e-3
-_OMEGA_STEP = math.radians(1.0)
+V_STEP = 1e-3
+OMEGA_STEP = math.radians(1.0)
 
 
 class CommandShaper:
@@ -37,9 +38,7 @@ class CommandShaper:
         """Return the velocity within its bounds, and the factor ≤ 1 that brought it there."""
         if self._limits is None:
             return wanted, 1.0
-        excess = max(
-            1.0, abs(wanted.v) / self._limits.v_m_s, abs(wanted.omega) / self._limits.omega_rad_s
-        )
+        excess = max(1.0, self._limits.ratio(*wanted))
         return Velocity(wanted.v / excess, wanted.omega / excess), 1.0 / excess
 
     def command(self, wanted: Velocity, dt: float) -> Velocity:
@@ -48,10 +47,8 @@ class CommandShaper:
             return wanted
         bounded, _ = self.bounded(wanted)
         ramped = Velocity(
-            _towards(self._last.v, bounded.v, self._limits.acceleration_m_s2 * dt),
-            _towards(
-                self._last.omega, bounded.omega, self._limits.angular_acceleration_rad_s2 * dt
-            ),
+            towards(self._last.v, bounded.v, self._limits.acceleration_m_s2 * dt),
+            towards(self._last.omega, bounded.omega, self._limits.angular_acceleration_rad_s2 * dt),
         )
         self._last = ramped
         return self._rounded(ramped) if self._whole_units else ramped
@@ -64,13 +61,9 @@ class CommandShaper:
 
     def _rounded(self, wanted: Velocity) -> Velocity:
         rounded = []
-        for k, step in enumerate((_V_STEP, _OMEGA_STEP)):
+        for k, step in enumerate((V_STEP, OMEGA_STEP)):
             due = wanted[k] / step + self._carry[k]
             whole = math.floor(due + 0.5)
             self._carry[k] = due - whole
             rounded.append(whole * step)
         return Velocity(*rounded)
-
-
-def _towards(value: float, goal: float, step: float) -> float:
-    return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)

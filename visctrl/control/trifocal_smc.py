@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from hal.types import STANDSTILL, Velocity
+from robots import Limits
 from visctrl.control.arrival import Arrival, ArrivalOptions, Verdict
 from visctrl.control.shaping import CommandShaper
 from visctrl.control.sliding_mode import CosineDescent
@@ -28,7 +29,7 @@ PUBLISHED = Gains(1.0, 2.0, 0.02, 0.02, 0.0, 0.04, 0.0, 0.1, 0.05, 0.3)
 PRACTICAL = Gains(1.0, 2.0, 0.02, 0.02, 0.04, 0.0, 0.005, 0.1, 0.05, 1.5)
 
 #: Cruising speed of a base without limits (m/s), and its share of the limit of one that has.
-IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
+_IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
 #: Share of the acceleration bound that the reference may ask for.
 _ACCELERATION_SHARE = 0.7
 #: The robot waits this long for the last of the position error (s).
@@ -197,27 +198,14 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         # Without φ1 nobody knows which output is the lateral one: both then fall alike.
         alike = self._published or not math.isfinite(seen.phi_1_sd)
         self._power = self.options.lateral_power or (1.0 if alike else 3.0)
-        self._reference = self._descent(seen, scale_sd)
-
-    def _descent(self, seen: Situation, scale_sd: float) -> CosineDescent:
-        """Return the reference's time course: as given, or as fast as the limits allow."""
-        speed = max(self._sent.v, 0.0)
-        distance = max(seen.scale * math.hypot(seen.right, seen.forward), 1e-3)
-        if self.options.tau_s is not None and self._retreats == 0:
-            if self._published:
-                return CosineDescent(self.options.tau_s)
-            return CosineDescent.joining(self.options.tau_s, speed / distance)
-        limits = self.context.limits
-        peak = IDEAL_CRUISE
-        if limits is not None:
-            bound = math.sqrt(_ACCELERATION_SHARE * limits.acceleration_m_s2 * distance / 2.0)
-            peak = min(_CRUISE_SHARE * limits.v_m_s, bound)
-        # A scale that may be too small would make the robot faster than meant.
-        peak /= 1.0 + min(scale_sd / seen.scale, 1.0)
-        if self._published or speed >= peak:
-            return CosineDescent(math.pi / 2.0 * distance / peak)
-        start = math.asin(speed / peak)
-        return CosineDescent((math.pi - start) * distance / (peak * (1.0 + math.cos(start))), start)
+        self._reference = descent(
+            self.options,
+            self.context.limits,
+            speed=self._sent.v,
+            distance=seen.scale * math.hypot(seen.right, seen.forward),
+            doubt=scale_sd / seen.scale,
+            again=self._retreats > 0,
+        )
 
     def _position(self, seen: Situation, dt: float) -> Velocity:
         """Return step 1's velocity and advance its clock; step 2 follows when it is over."""
@@ -287,3 +275,41 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             self._begin_position(seen, 0.0)
             return STANDSTILL
         return Velocity(-self.options.advance_m_s, 0.0)
+
+
+def descent(
+    options: TrifocalSmcOptions,
+    limits: Limits | None,
+    *,
+    speed: float,
+    distance: float,
+    doubt: float,
+    again: bool,
+) -> CosineDescent:
+    """Return the time course of step 1's reference: as given, or as fast as the limits allow.
+
+    Parameters
+    ----------
+    speed, distance : float
+        Of the robot now (m/s), and to the target (m).
+    doubt : float
+        Standard deviation of the scale over the scale.
+    again : bool
+        It comes back from a retreat; ``tau_s`` is for the whole way.
+    """
+    published = options.law == "published"
+    speed, distance = max(speed, 0.0), max(distance, 1e-3)
+    if options.tau_s is not None and not again:
+        if published:
+            return CosineDescent(options.tau_s)
+        return CosineDescent.joining(options.tau_s, speed / distance)
+    peak = _IDEAL_CRUISE
+    if limits is not None:
+        bound = math.sqrt(_ACCELERATION_SHARE * limits.acceleration_m_s2 * distance / 2.0)
+        peak = min(_CRUISE_SHARE * limits.v_m_s, bound)
+    # A scale that may be too small would make the robot faster than meant.
+    peak /= 1.0 + min(doubt, 1.0)
+    if published or speed >= peak:
+        return CosineDescent(math.pi / 2.0 * distance / peak)
+    start = math.asin(speed / peak)
+    return CosineDescent((math.pi - start) * distance / (peak * (1.0 + math.cos(start))), start)

@@ -42,7 +42,7 @@ DOUBTFUL = 0.6
 DRIFT = 3.0
 #: Residuals so many times wider than promised make the initial view doubtful; it is then
 #: searched anew every so many ticks.
-CONTRADICTION, _RECONSIDER = 2.5, 10
+CONTRADICTION, RECONSIDER = 2.5, 10
 #: Bearings agree with those of the target within so many times what noise explains.
 _SAME_WITHIN = 2.0
 #: Mean length of the bearings' unit vectors beyond which they say too little (±17° and less).
@@ -60,7 +60,7 @@ class ConstrainedFit(TensorMethod):
     def __init__(self, options: TensorOptions, context: Context) -> None:
         super().__init__(options, context)
         self._initial: InitialViewFilter | None = None
-        self._bearings = InitialFromBearings(options, context)
+        self._bearings = InitialFromBearings(options, context.seed)
         self._reckoning = DeadReckoning(context.limits, context.camera_forward_m)
         self._scale = PathScale()
         # Position and heading in the initial view's frame: as driven, and as last seen.
@@ -107,7 +107,7 @@ class ConstrainedFit(TensorMethod):
         shared = coupling(relation, fit, initial.parameters, initial.jacobian)
         self._initial.update(shared)
         uncertainty = self._initial.view.covariance
-        if not np.isfinite(uncertainty).all():
+        if not math.isfinite(float(uncertainty.trace())):
             return Measurement.none(Health.DEGENERATE, "initial view not determined yet")
         return self._measurement(initial, uncertainty, shared, fit, inliers)
 
@@ -217,7 +217,7 @@ class ConstrainedFit(TensorMethod):
         """
         assert self._initial is not None
         self._doubts += 1
-        if self._doubts % _RECONSIDER != 1:
+        if self._doubts % RECONSIDER != 1:
             return fit, agreeing
         prior = self._initial.prior
         other = self._bearings.find(views, self._driven, self._turned, prior)
@@ -252,16 +252,17 @@ class ConstrainedFit(TensorMethod):
         right, forward = _rotated(target, self._turned)
         seen = (initial.target[0] - right, initial.target[1] - forward)
         J = view_jacobian(fit.z)[1:]
-        seen_sd = math.sqrt(float(np.vdot(J @ fit.covariance, J)) / 2.0)
+        seen_sd = math.sqrt(float(np.vdot(J.dot(fit.covariance), J)) / 2.0)
         self._scale.update(self._driven, self._velocity, seen, seen_sd)
 
     def _measurement(
         self, initial: InitialView, uncertainty: Array, known: Coupling, fit: Fit, inliers: int
     ) -> Measurement:
         basis = initial.basis
-        tensor = basis @ fit.z
-        by_initial = basis @ known.sensitivity + known.by_initial
-        covariance = basis @ fit.covariance @ basis.T + by_initial @ uncertainty @ by_initial.T
+        tensor = basis.dot(fit.z)
+        by_initial = basis.dot(known.sensitivity) + known.by_initial
+        covariance = basis.dot(fit.covariance).dot(basis.T)
+        covariance += by_initial.dot(uncertainty).dot(by_initial.T)
         # In units of the initial distance the target's heading has unit length in z.
         unit = float(tensor[T121]) / math.hypot(*fit.z[:2].tolist())
         distance, distance_sd = self._scale.estimate()

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.types import Velocity
-from robots.unicycle import step_exact, wrap_angle
-from visctrl.estimation.epipolar_position import Placed, place_view
+from robots.unicycle import arc, wrapped
+from visctrl.estimation.epipolar_position import Placed
 from visctrl.estimation.epipole_estimates import EpipolePair, Location
 
 Array = NDArray[np.float64]
@@ -35,10 +35,53 @@ _MIN_CROSSING = 0.02
 
 
 class _Line(NamedTuple):
-    """A line in the target's frame by its unit normal, and its standard deviation (in D)."""
+    """A line in the target's frame by its unit normal (x, y), and its standard deviation (in D)."""
 
-    normal: Array
+    x: float
+    y: float
     sd: float
+
+
+class _Covariance(NamedTuple):
+    """Covariance of (x, y, φ, w = 1/D), p standing for φ: a symmetric matrix in plain floats."""
+
+    xx: float = 0.0
+    xy: float = 0.0
+    xp: float = 0.0
+    xw: float = 0.0
+    yy: float = 0.0
+    yp: float = 0.0
+    yw: float = 0.0
+    pp: float = 0.0
+    pw: float = 0.0
+    ww: float = 0.0
+
+    def moved(self, by_phi: tuple[float, float], by_w: tuple[float, float]) -> _Covariance:
+        """Return it after (x, y) moved by a way with these derivatives: F P Fᵀ."""
+        (xx, xy, xp, xw, yy, yp, yw, pp, pw, ww), (a, b), (c, d) = self, by_phi, by_w
+        new_xp, new_xw = xp + a * pp + c * pw, xw + a * pw + c * ww
+        new_yp, new_yw = yp + b * pp + d * pw, yw + b * pw + d * ww
+        return _Covariance(
+            xx + a * (xp + new_xp) + c * (xw + new_xw),
+            xy + b * xp + d * xw + a * new_yp + c * new_yw,
+            new_xp,
+            new_xw,
+            yy + b * (yp + new_yp) + d * (yw + new_yw),
+            new_yp,
+            new_yw,
+            pp,
+            pw,
+            ww,
+        )
+
+    def widened(self, xx: float, xy: float, yy: float, pp: float) -> _Covariance:
+        """Return it with more noise of the position and of the heading."""
+        return self._replace(xx=self.xx + xx, xy=self.xy + xy, yy=self.yy + yy, pp=self.pp + pp)
+
+    def matrix(self) -> Array:
+        """Return it as a matrix (4, 4)."""
+        xx, xy, xp, xw, yy, yp, yw, pp, pw, ww = self
+        return np.array([[xx, xy, xp, xw], [xy, yy, yp, yw], [xp, yp, pp, pw], [xw, yw, pw, ww]])
 
 
 class LocationFilter:
@@ -70,32 +113,40 @@ class LocationFilter:
         self._offset = camera_forward_m
         self._slip = slip
         self._turn_slip, self._turn_drift = (slip, 1e-4) if metric else _LOOSE_TURN
-        self._phi1 = float(wrap_angle(-fixed.turn))
+        phi1 = wrapped(-fixed.turn)
         #: World direction (rad) of the target seen from the reference view.
-        self.psi1 = float(wrap_angle(self._phi1 - fixed.bearing_a))
-        self._origin = np.array([math.sin(self.psi1), -math.cos(self.psi1)])
-        self._x = np.array([*self._origin, self._phi1, inverse_distance])
-        self._P = np.diag([1e-8, 1e-8, fixed.turn_sd**2 + 1e-8, inverse_distance_sd**2])
+        self.psi1 = wrapped(phi1 - fixed.bearing_a)
+        #: Pose of the reference view.
+        self.reference = (math.sin(self.psi1), -math.cos(self.psi1), phi1)
+        self._x = (*self.reference, inverse_distance)
+        self._P = _Covariance(
+            xx=1e-8, yy=1e-8, pp=fixed.turn_sd**2 + 1e-8, ww=inverse_distance_sd**2
+        )
         self._lines: dict[str, _Line] = {}
         #: Names of the lines that the last update measured.
         self._fresh: list[str] = []
         self._placed: Placed | None = None
 
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """The present estimate of (x, y, φ)."""
+        return self._x[:3]
+
     def predict(self, sent: Velocity, dt: float) -> None:
         """Move the state along the exact arc of ``sent`` during ``dt`` seconds."""
-        phi, w = float(self._x[2]), float(self._x[3])
-        moved = step_exact([0.0, 0.0, phi], sent.v, sent.omega, dt, self._offset)
-        F = np.eye(4)
-        F[:2, 3] = moved[:2]
-        F[0, 2], F[1, 2] = -w * moved[1], w * moved[0]
-        self._x[:2] += w * moved[:2]
-        self._x[2] = float(moved[2])
-        way = (self._slip * w) ** 2 * float(moved[:2] @ moved[:2])
+        x, y, phi, w = self._x
+        moved = arc(phi, sent.v, sent.omega, dt, self._offset)
+        self._x = (x + w * moved.dx, y + w * moved.dy, phi + moved.turn, w)
+        # The way in units of D has the derivatives (−w dy, w dx) by φ and (dx, dy) by w.
+        self._P = self._P.moved((-w * moved.dy, w * moved.dx), (moved.dx, moved.dy))
+        way = (self._slip * w) ** 2 * (moved.dx**2 + moved.dy**2) + 1e-10
         turn = (self._turn_slip * sent.omega * dt) ** 2 + self._turn_drift**2
-        self._P = F @ self._P @ F.T + np.diag([way + 1e-10, way + 1e-10, turn, 0.0])
+        xx, xy, yy = way, 0.0, way
         for name in self._fresh:
-            across = _FORGETTING * self._lines[name].sd * self._lines[name].normal
-            self._P[:2, :2] += np.outer(across, across)
+            line = self._lines[name]
+            across_x, across_y = _FORGETTING * line.sd * line.x, _FORGETTING * line.sd * line.y
+            xx, xy, yy = xx + across_x**2, xy + across_x * across_y, yy + across_y**2
+        self._P = self._P.widened(xx, xy, yy, turn)
 
     def update(self, target: EpipolePair, reference: EpipolePair, sd_limit: float) -> None:
         """Take in the pairs (current, target) and (reference, current).
@@ -104,65 +155,93 @@ class LocationFilter:
         """
         self._fresh = []
         if target.turn_sd <= sd_limit:
-            innovation = float(wrap_angle(-target.turn - self._x[2]))
-            self._correct(np.array([0.0, 0.0, 1.0, 0.0]), innovation, target.turn_sd)
+            self._correct((0.0, 0.0, 1.0), wrapped(-target.turn - self._x[2]), target.turn_sd**2)
         if target.usable(sd_limit):
-            self._on_line("target", -target.bearing_b, np.zeros(2), target.sd_b)
+            self._on_line("target", -target.bearing_b, (0.0, 0.0), target.sd_b)
         if reference.usable(sd_limit):
-            direction = self._phi1 - reference.bearing_a
-            self._on_line("reference", direction, self._origin, reference.sd_a)
+            x, y, phi = self.reference
+            self._on_line("reference", phi - reference.bearing_a, (x, y), reference.sd_a)
 
-    def place(self, rays: tuple[Array, Array, Array], sigma: float) -> None:
-        """Take in where the features (target, reference, current) put the current view.
+    def place(self, placed: Placed | None) -> None:
+        """Take in where the features put the current view, None where they do not tell.
 
-        See `place_view`. The lines of the last update remain; near the target they say less.
+        See `visctrl.estimation.epipolar_position`. The lines of the last update remain; near the
+        target they say less.
         """
-        reference = (float(self._origin[0]), float(self._origin[1]), self._phi1)
-        here = (float(self._x[0]), float(self._x[1]), float(self._x[2]))
-        self._placed = place_view(rays, reference, here, sigma)
-        if self._placed is None:
+        self._placed = placed
+        if placed is None:
             return
-        variances, axes = np.linalg.eigh(self._placed.covariance)
-        for variance, axis in zip(variances, axes.T, strict=True):
-            innovation = float(axis @ (self._placed.position - self._x[:2]))
-            self._correct(np.array([*axis, 0.0, 0.0]), innovation, math.sqrt(variance))
+        # Along the principal axes of the covariance, the one position is two numbers.
+        xx, xy, yy = placed.variance
+        angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+        s, c = math.sin(angle), math.cos(angle)
+        largest = (xx + yy + math.hypot(xx - yy, 2.0 * xy)) / 2.0
+        least = (xx * yy - xy * xy) / largest
+        for axis_x, axis_y, variance in ((c, s, largest), (-s, c, least)):
+            away = axis_x * (placed.x - self._x[0]) + axis_y * (placed.y - self._x[1])
+            self._correct((axis_x, axis_y, 0.0), away, variance)
 
     @property
     def location(self) -> Location:
         """The present estimate; its covariance includes what the fixed views' noise may cost."""
-        x, y, phi, w = (float(value) for value in self._x)
-        covariance = self._P.copy()
-        covariance[:2, :2] += self._fixed_noise()
-        return Location(x, y, float(wrap_angle(phi)), w, covariance)
+        x, y, phi, w = self._x
+        xx, xy, yy = self._fixed_noise()
+        return Location(x, y, wrapped(phi), w, self._P.widened(xx, xy, yy, 0.0).matrix())
 
-    def _fixed_noise(self) -> Array:
-        """Return the covariance (2, 2) of the lines' meeting point due to the fixed views.
+    def _fixed_noise(self) -> tuple[float, float, float]:
+        """Return the variance (of x, of both, of y) of the lines' meeting due to the fixed views.
 
         Half of a line's variance stems from the fixed view, and no averaging removes it.
         """
         if self._placed is not None:
-            return np.asarray(self._placed.covariance / 2.0)
+            xx, xy, yy = self._placed.variance
+            return xx / 2.0, xy / 2.0, yy / 2.0
         if len(self._lines) < 2:
-            return np.zeros((2, 2))
-        normals = np.stack([line.normal for line in self._lines.values()])
-        crossing = float(np.linalg.det(normals))
+            return 0.0, 0.0, 0.0
+        a, b = self._lines.values()
+        crossing = a.x * b.y - a.y * b.x
         if abs(crossing) < _MIN_CROSSING:
-            return np.zeros((2, 2))
-        spread = np.linalg.inv(normals) * [line.sd for line in self._lines.values()]
-        return np.asarray(spread @ spread.T / 2.0)
+            return 0.0, 0.0, 0.0
+        # How the meeting point moves with each line's own offset, times its deviation.
+        x_a, y_a = b.y * a.sd / crossing, -b.x * a.sd / crossing
+        x_b, y_b = -a.y * b.sd / crossing, a.x * b.sd / crossing
+        return (
+            (x_a * x_a + x_b * x_b) / 2.0,
+            (x_a * y_a + x_b * y_b) / 2.0,
+            (y_a * y_a + y_b * y_b) / 2.0,
+        )
 
-    def _on_line(self, name: str, direction: float, through: Array, sd: float) -> None:
+    def _on_line(
+        self, name: str, direction: float, through: tuple[float, float], sd: float
+    ) -> None:
         """Correct by a line of world ``direction`` (rad, counter-clockwise from y)."""
-        normal = np.array([math.cos(direction), math.sin(direction)])
-        away = self._x[:2] - through
-        line = _Line(normal, math.hypot(sd * float(np.linalg.norm(away)), _LINE_FLOOR))
+        c, s = math.cos(direction), math.sin(direction)
+        x, y = self._x[0] - through[0], self._x[1] - through[1]
+        line = _Line(c, s, math.hypot(sd * math.hypot(x, y), _LINE_FLOOR))
         self._lines[name] = line
         self._fresh.append(name)
-        self._correct(np.array([*normal, 0.0, 0.0]), -float(normal @ away), line.sd)
+        self._correct((c, s, 0.0), -(c * x + s * y), line.sd**2)
 
-    def _correct(self, H: Array, innovation: float, sd: float) -> None:
-        PH = self._P @ H
-        gain = PH / (float(H @ PH) + sd**2)
-        self._x = self._x + gain * innovation
-        A = np.eye(4) - np.outer(gain, H)
-        self._P = A @ self._P @ A.T + sd**2 * np.outer(gain, gain)
+    def _correct(self, h: tuple[float, float, float], innovation: float, variance: float) -> None:
+        """Correct by a measurement of h · (x, y, φ) that differs by the innovation."""
+        (x, y, phi, w), P = self._x, self._P
+        a, b, c = h
+        # P h, and the variance of the innovation.
+        p_x, p_y = a * P.xx + b * P.xy + c * P.xp, a * P.xy + b * P.yy + c * P.yp
+        p_p, p_w = a * P.xp + b * P.yp + c * P.pp, a * P.xw + b * P.yw + c * P.pw
+        known = 1.0 / (a * p_x + b * p_y + c * p_p + variance)
+        gain = innovation * known
+        self._x = (x + p_x * gain, y + p_y * gain, phi + p_p * gain, w + p_w * gain)
+        k_x, k_y, k_p = p_x * known, p_y * known, p_p * known
+        self._P = _Covariance(
+            P.xx - k_x * p_x,
+            P.xy - k_x * p_y,
+            P.xp - k_x * p_p,
+            P.xw - k_x * p_w,
+            P.yy - k_y * p_y,
+            P.yp - k_y * p_p,
+            P.yw - k_y * p_w,
+            P.pp - k_p * p_p,
+            P.pw - k_p * p_w,
+            P.ww - p_w * known * p_w,
+        )

@@ -5,18 +5,32 @@ axis, and the noise of the fixed views' epipoles, the same in every tick, then c
 centimetres along it. How far the features themselves have moved tells the same and better: the two
 fixed views give each one's distance, in units of their baseline, and the current view is placed
 among them. At the target the distances do not matter, for the images coincide.
+
+With everything in the current view's axes and level parts as complex numbers, right + i forward,
+let a ray have the level part l u, |u| = 1, and the up component v. The level way X − p to a feature
+has the part along the ray Re(u* (X − p)) and the part across it −Im(u* (X − p)); with the height
+X_z its residuals sideways and downwards are, in rad and |X − p| being the distance in space,
+
+    r₁ = −Im(u* (X − p))/|X − p|,   r₂ = (v Re(u* (X − p)) − l X_z)/|X − p|.
+
+Their derivatives by p are those of the numerators, and a turn of the view adds l to r₁. Their
+variance is that of the ray, of the target's ray, and of the distance |X|, whose relative deviation
+is ρ σ: with nᵢ what the numerators are at p = 0,
+
+    σ² (1 + (|X|² + (ρ nᵢ)²)/|X − p|²).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.geometry.planar import rotate_to_a
-
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 
 #: Features whose distance is less certain than this part of it are left out.
 _MAX_RANGE_SD = 0.3
@@ -24,7 +38,7 @@ _MAX_RANGE_SD = 0.3
 _LEAST_FEATURES = 8
 #: Steps at most, and the one, as a part of the distance from the target, after which all is said.
 _STEPS, _STILL = 4, 0.01
-#: Least eigenvalue of the information as a part of the largest.
+#: Least information in one direction as a part of the most in any.
 _REGULAR = 1e-12
 #: Scale of the Cauchy kernel, in standard deviations of a residual.
 _KERNEL_SIGMAS = 2.0
@@ -33,113 +47,216 @@ _FIXED_SHARE = 0.01
 
 
 class Placed(NamedTuple):
-    """Position (2,) of a view in the target's frame, in baselines of the fixed views."""
+    """Position of a view in the target's frame, in baselines of the fixed views.
 
-    position: Array
-    covariance: Array
-
-
-class _Features(NamedTuple):
-    """What the fixed views tell of the features, and where the current view sees them.
-
-    points : (2N, 3), in the target's frame, each twice.
-    tangents : (2N, 3), across the current rays in that frame: all sideways, then all upwards.
-    turn : (2N,), what a turn of the current view adds to the residuals.
-    ranges, doubts : (2N,), distances from the target, and how their deviations show sideways and
-        upwards.
+    variance : of x, of both together and of y.
     """
 
-    points: Array
-    tangents: Array
-    turn: Array
-    ranges: Array
-    doubts: Array
+    x: float
+    y: float
+    variance: tuple[float, float, float]
 
 
-def place_view(
-    rays: tuple[Array, Array, Array],
-    reference: tuple[float, float, float],
-    start: tuple[float, float, float],
-    sigma: float,
-) -> Placed | None:
-    """Return where the current view is, or None where the features do not tell.
+class _Seen(NamedTuple):
+    """Features as the current view sees them, in its own axes.
+
+    level, up : (N,), l and the up component of a ray.
+    towards : (N,), u*.
+    points : (N,), X, the level part.
+    lifted : (N,), l X_z.
+    height2 : (N,), X_z².
+    spread : (2 N,), |X|² + (ρ nᵢ)², sideways first.
+    """
+
+    level: Array
+    up: Array
+    towards: Complex
+    points: Complex
+    lifted: Array
+    height2: Array
+    spread: Array
+
+
+class Structure:
+    """Features that two fixed views, the target and a reference, place in space.
 
     Parameters
     ----------
-    rays : three (N, 3) arrays
-        Unit rays (right, forward, up) of the same features in the target, reference and current
-        view.
-    reference : (x, y, phi)
-        Pose of the reference view in the target's frame, |(x, y)| = 1.
-    start : (x, y, phi)
-        About where the current view is, in the same units.
-    sigma : float
-        Standard deviation of one ray's direction (rad).
+    fixed : (2 or more, 3, N) array
+        Unit rays (right, forward, up) of the same features in the target and the reference view;
+        further views do not matter.
+    pose : (x, y, phi)
+        Of the reference view in the target's frame, |(x, y)| = 1.
+    present : (2 or more, N) array or None
+        Features that the views have; None for all.
     """
-    features = _locate(rays, reference, start[2], sigma)
-    if len(features.ranges) < 2 * _LEAST_FEATURES:
-        return None
-    position, information = np.array(start[:2]), np.eye(3)
-    for _ in range(_STEPS):
-        residual, jacobian, sd = _residuals(features, position, sigma)
-        scaled = residual / sd
-        middle = len(scaled) // 2
-        usual = 1.4826 * float(np.partition(np.abs(scaled), middle)[middle])
-        spread = max(1.0, usual)
-        weights = 1.0 / (spread * sd) ** 2 / (1.0 + (scaled / (_KERNEL_SIGMAS * spread)) ** 2)
-        information = (jacobian * weights[:, None]).T @ jacobian
-        known = np.linalg.eigvalsh(information)
-        if known[0] <= _REGULAR * known[-1]:
+
+    def __init__(
+        self, fixed: Array, pose: tuple[float, float, float], present: Mask | None = None
+    ) -> None:
+        self._made_of = (fixed, pose)
+        x, y, phi = pose
+        s, c = math.sin(phi), math.cos(phi)
+        target, reference = fixed[:2]
+        (a0, a1, a2), (r, f, b2) = target, reference
+        b0, b1 = c * r - s * f, s * r + c * f
+        # λ a − μ b = (x, y, 0), in the least-squares sense, by n = a × b.
+        n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+        sine2 = np.maximum(n0 * n0 + n1 * n1 + n2 * n2, 1e-18)
+        here = (y * b2 * n0 - x * b2 * n1 + (x * b1 - y * b0) * n2) / sine2
+        there = (y * a2 * n0 - x * a2 * n1 + (x * a1 - y * a0) * n2) / sine2
+        self._ahead = (here > 0.0) & (there > 0.0)
+        if present is not None:
+            self._ahead &= present[0] & present[1]
+        #: ρ, the relative deviation of the distance in σ.
+        self._doubt = np.hypot(here, there) / (np.sqrt(sine2) * np.where(self._ahead, here, 1.0))
+        level = np.empty(len(here), dtype=np.complex128)
+        np.multiply(here, a0, out=level.real)
+        np.multiply(here, a1, out=level.imag)
+        self._points, self._heights, self._range2 = level, here * a2, here * here
+        self._limit = math.nan
+        self._select(math.inf)
+
+    def stands_for(self, fixed: Array, pose: tuple[float, float, float]) -> bool:
+        """Whether it was made of the very same array of rays, and of this pose."""
+        return self._made_of[0] is fixed and self._made_of[1] == pose
+
+    def _select(self, limit: float) -> None:
+        """Choose the features whose ρ is under a limit."""
+        self._limit = limit
+        good = self._ahead & (self._doubt < limit)
+        which = np.flatnonzero(good)
+        self._which = None if len(which) == len(good) else which
+        self._chosen = _Chosen(
+            self._points[which], self._heights[which], self._range2[which], self._doubt[which]
+        )
+
+    def place(
+        self, current: Array, start: tuple[float, float, float], sigma: float
+    ) -> Placed | None:
+        """Return where the current view is, or None where the features do not tell.
+
+        Parameters
+        ----------
+        current : (3, N) array
+            Unit rays of the features in the current view.
+        start : (x, y, phi)
+            About where the current view is, in baselines.
+        sigma : float
+            Standard deviation of one ray's direction (rad).
+        """
+        if self._limit != _MAX_RANGE_SD / sigma:
+            self._select(_MAX_RANGE_SD / sigma)
+        if len(self._chosen.points) < _LEAST_FEATURES:
             return None
-        step = np.linalg.solve(information, (weights * residual) @ jacobian)[:2]
-        position = position - step
-        if float(step @ step) < _STILL**2 * float(position @ position):
-            break
-    covariance = np.linalg.inv(information)[:2, :2]
-    own = (_FIXED_SHARE * float(np.linalg.norm(position))) ** 2 * np.eye(2)
-    return Placed(position, np.asarray(covariance + own))
+        x, y, phi = start
+        s, c = math.sin(phi), math.cos(phi)
+        rays = current if self._which is None else current.take(self._which, axis=1)
+        seen = self._chosen.seen(rays, complex(c, -s))
+        right, forward = c * x + s * y, c * y - s * x
+        variance = (0.0, 0.0, 0.0)
+        for _ in range(_STEPS):
+            solved = _solve(*_normal_equations(seen, right, forward, sigma))
+            if solved is None:
+                return None
+            (step_right, step_forward), variance = solved
+            right, forward = right - step_right, forward - step_forward
+            if step_right**2 + step_forward**2 < _STILL**2 * (right**2 + forward**2):
+                break
+        own = _FIXED_SHARE**2 * (right**2 + forward**2)
+        rr, rf, ff = variance
+        # From the current view's axes into the target's frame.
+        return Placed(
+            c * right - s * forward,
+            s * right + c * forward,
+            (
+                c * c * rr - 2.0 * s * c * rf + s * s * ff + own,
+                s * c * (rr - ff) + (c * c - s * s) * rf,
+                s * s * rr + 2.0 * s * c * rf + c * c * ff + own,
+            ),
+        )
 
 
-def _locate(
-    rays: tuple[Array, Array, Array],
-    reference: tuple[float, float, float],
-    phi: float,
-    sigma: float,
-) -> _Features:
-    """Return the features that the target and the reference view place in space."""
-    target, current = rays[0], rotate_to_a(rays[2], phi)
-    other = rotate_to_a(rays[1], reference[2])
-    baseline = np.array([[reference[0], reference[1], 0.0]])
-    normal = np.cross(target, other)
-    sine2 = np.maximum(np.sum(normal * normal, axis=1), 1e-18)
-    # λ a − μ b = baseline, in the least-squares sense.
-    here = np.sum(np.cross(baseline, other) * normal, axis=1) / sine2
-    there = np.sum(np.cross(baseline, target) * normal, axis=1) / sine2
-    range_sd = sigma * np.hypot(here, there) / np.sqrt(sine2)
-    good = (here > 0.0) & (there > 0.0) & (range_sd < _MAX_RANGE_SD * here)
-    target, current = target[good], current[good]
-    here, range_sd = here[good], range_sd[good]
-    right, forward, up = current.T
-    level = np.maximum(np.hypot(right, forward), 1e-9)
-    s, c, zero = right / level, forward / level, np.zeros(len(level))
-    tangents = np.concatenate(
-        [np.stack([c, -s, zero], axis=-1), np.stack([-s * up, -c * up, level], axis=-1)]
-    )
-    along = np.concatenate([target, target])
-    return _Features(
-        np.concatenate([here, here])[:, None] * along,
-        tangents,
-        np.concatenate([level, zero]),
-        np.concatenate([here, here]),
-        np.sum(tangents * along, axis=1) * np.concatenate([range_sd, range_sd]),
-    )
+class _Chosen(NamedTuple):
+    """Features that do place a view: X, level and up, |X|² and ρ, in the target's frame."""
+
+    points: Complex
+    heights: Array
+    range2: Array
+    doubt: Array
+
+    def seen(self, rays: Array, turn: complex) -> _Seen:
+        """Return them in the axes of a view with these rays (3, N); ``turn`` takes them there."""
+        right, forward, up = rays
+        towards = np.empty(len(right), dtype=np.complex128)
+        level = np.maximum(np.hypot(right, forward), 1e-9)
+        np.divide(right, level, out=towards.real)
+        np.divide(forward, -level, out=towards.imag)
+        points = self.points * turn
+        lifted = level * self.heights
+        across = _across(towards * points, up, lifted)
+        across *= np.concatenate((self.doubt, self.doubt))
+        spread = across * across
+        spread += np.concatenate((self.range2, self.range2))
+        return _Seen(level, up, towards, points, lifted, self.heights * self.heights, spread)
 
 
-def _residuals(features: _Features, position: Array, sigma: float) -> tuple[Array, Array, Array]:
-    """Return how far (rad) points lie beside their rays, ∂/∂(x, y, turn), and the deviations."""
-    way = features.points - np.array([position[0], position[1], 0.0])
-    nearness = 1.0 / np.maximum(np.sqrt(np.sum(way * way, axis=1)), 1e-9)
-    residual = np.sum(features.tangents * way, axis=1) * nearness
-    jacobian = np.column_stack([-features.tangents[:, :2] * nearness[:, None], features.turn])
-    variance = sigma**2 * (1.0 + (features.ranges * nearness) ** 2)
-    return residual, jacobian, np.sqrt(variance + (features.doubts * nearness) ** 2)
+def _across(seen: Complex, up: Array, lifted: Array) -> Array:
+    """Return the residuals' numerators (2 N,) of u* times the level ways ``seen``."""
+    count = len(up)
+    across = np.empty(2 * count)
+    np.negative(seen.imag, out=across[:count])
+    np.multiply(seen.real, up, out=across[count:])
+    across[count:] -= lifted
+    return across
+
+
+def _normal_equations(
+    seen: _Seen, right: float, forward: float, sigma: float
+) -> tuple[list[list[float]], float]:
+    """Return the weighted products (4, 4) of the derivatives by p and turn and of the residuals.
+
+    They are in units of (σ κ)², which is returned as well: κ ≥ 1 is how much larger than promised
+    the residuals are. The derivatives have the opposite sign.
+    """
+    way = seen.towards * (seen.points - complex(right, forward))
+    count = len(way)
+    distance2 = way.real * way.real
+    distance2 += way.imag * way.imag
+    distance2 += seen.height2
+    rows = np.empty((4, 2 * count))
+    cosine, sine = np.negative(seen.towards.imag, out=rows[0, :count]), seen.towards.real
+    np.negative(sine, out=rows[1, :count])
+    np.multiply(sine, seen.up, out=rows[0, count:])
+    np.multiply(cosine, seen.up, out=rows[1, count:])
+    np.multiply(seen.level, -np.sqrt(distance2), out=rows[2, :count])
+    rows[2, count:] = 0.0
+    rows[3] = _across(way, seen.up, seen.lifted)
+    scale = np.concatenate((distance2, distance2))
+    scale += seen.spread
+    rows *= 1.0 / np.sqrt(scale)
+    residual = rows[3]
+    usual = float(np.partition(np.abs(residual), count)[count])
+    spread = max(sigma, 1.4826 * usual)
+    scaled = residual * (1.0 / (_KERNEL_SIGMAS * spread))
+    weighted = rows / (1.0 + scaled * scaled)
+    return weighted.dot(rows.T).tolist(), spread**2
+
+
+def _solve(
+    products: list[list[float]], unit: float
+) -> tuple[tuple[float, float], tuple[float, float, float]] | None:
+    """Return the step of p (right, forward) and its variances, the turn eliminated.
+
+    None where the turn cannot be told from a step, or one step from another.
+    """
+    (rr, rf, rt, _), (_, ff, ft, _), (_, _, tt, _), (g_r, g_f, g_t, _) = products
+    if tt <= _REGULAR * (rr + ff):
+        return None
+    a, b, d = rr - rt * rt / tt, rf - rt * ft / tt, ff - ft * ft / tt
+    det = a * d - b * b
+    if det <= _REGULAR * (a + d) * (a + d) or a + d <= _REGULAR * (rr + ff):
+        return None
+    u, v = g_r - rt * g_t / tt, g_f - ft * g_t / tt
+    step = (-(d * u - b * v) / det, -(a * v - b * u) / det)
+    return step, (d * unit / det, -b * unit / det, a * unit / det)

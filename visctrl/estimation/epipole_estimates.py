@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.unicycle import wrap_angle
+from robots.unicycle import wrapped
 from visctrl.geometry.planar import PlanarMotion
 from visctrl.plugins import Estimate, Health
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class EpipolePair:
+class EpipolePair(NamedTuple):
     """The two epipoles of a pair of views (a, b), as bearings (rad, clockwise from forward).
 
     bearing_a : of b's centre, seen in view a; bearing_b : of a's centre, seen in view b.
@@ -37,17 +37,31 @@ class EpipolePair:
     @staticmethod
     def of(motion: PlanarMotion) -> EpipolePair:
         """Return the epipoles of a planar motion of b seen from a."""
-        bearing_b = float(wrap_angle(motion.direction + motion.phi + math.pi))
-        sd_b = math.sqrt(float(motion.covariance.sum()))
+        (turn, both), (_, direction) = motion.covariance.tolist()
+        # α + π = θ + φ + π; an infinite variance stays one.
+        sum_b = turn + 2.0 * both + direction
         return EpipolePair(
             motion.direction,
-            bearing_b,
-            motion.direction_sd,
-            sd_b if math.isfinite(sd_b) else math.inf,
+            wrapped(motion.direction + motion.phi + math.pi),
+            math.sqrt(direction),
+            math.sqrt(max(sum_b, 0.0)),
             motion.phi,
-            motion.phi_sd,
+            math.sqrt(turn),
             motion.health,
             motion.reason,
+        )
+
+    def swapped(self) -> EpipolePair:
+        """Return the same pair as (b, a)."""
+        return EpipolePair(
+            self.bearing_b,
+            self.bearing_a,
+            self.sd_b,
+            self.sd_a,
+            wrapped(-self.turn),
+            self.turn_sd,
+            self.health,
+            self.reason,
         )
 
     @property
@@ -65,8 +79,7 @@ class EpipolePair:
         return self.health is not Health.LOST and max(self.sd_a, self.sd_b) <= sd_limit
 
 
-@dataclass(frozen=True)
-class Location:
+class Location(NamedTuple):
     """Planar pose of the current view in the target's frame, in units of a baseline.
 
     x, y : position (right, forward) in units of the distance from the reference view (the

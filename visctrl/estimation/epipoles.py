@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from hal.types import Velocity
 from robots.documents import Document
 from visctrl.estimation.epipolar_location import LocationFilter
+from visctrl.estimation.epipolar_position import Structure
 from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
-from visctrl.estimation.epipole_pairs import (
-    Calibrated,
-    PairFollower,
-    Solver,
-    Uncalibrated,
-    solver_for,
-)
+from visctrl.estimation.epipole_pairs import PairsFollower
+from visctrl.estimation.epipole_solvers import Calibrated, Solver, Uncalibrated, solver_for
+from visctrl.estimation.fixed_views import ALIGNED, REFERENCE, TARGET, FixedViews, Sight
 from visctrl.geometry.epipolar_planar import ONE_PLANE
 from visctrl.plugins import Context, Estimator, Health, Signal, Views
 
-Array = NDArray[np.float64]
-
-
+#: While the fixed views cannot be told apart, every so many ticks it is tried anew.
+_SEARCH_EVERY = 4
 #: Standard deviation of the first guess of the inverse distance (1/m): it hardly counts.
 _DISTANCE_SD = 0.5
 
@@ -61,21 +55,6 @@ class EpipolesOptions(Document):
     reference_deg: Annotated[float, Field(ge=0)] = 10.0
 
 
-@dataclass(frozen=True)
-class _StoredView:
-    """A past current view: the rays (N, 3) of its features by their names."""
-
-    ids: NDArray[np.int64]
-    rays: Array
-
-    def common(self, views: Views) -> tuple[Array, Array]:
-        """Return the rays of the features that both views hold: of this and of the current."""
-        _, here, there = np.intersect1d(
-            self.ids, views.ids, assume_unique=True, return_indices=True
-        )
-        return self.rays[here], views.current[there]
-
-
 class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
     """Epipoles of the pairs current–target, initial–current, initial–target, aligned–current."""
 
@@ -102,6 +81,8 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         Signal("horizon", "1"),
     )
 
+    _reported = frozenset(signal.name for signal in signals)
+
     def __init__(self, options: EpipolesOptions, context: Context) -> None:
         super().__init__(options, context)
         self._solver = solver_for(options.solver, context.camera)
@@ -114,11 +95,11 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         self._ticks = 0
         self._time = 0.0
         self._within = 0
-        self._reference: _StoredView | None = None
-        self._aligned: _StoredView | None = None
+        self._views = FixedViews()
+        self._pairs = PairsFollower(self._solver, self.options.hypotheses)
         self._fixed: EpipolePair | None = None
         self._filter: LocationFilter | None = None
-        self._followers: dict[str, PairFollower] = {}
+        self._structure: Structure | None = None
         self._levelled = False
         self._last = EpipoleEstimate(Health.LOST, "no view yet")
 
@@ -132,30 +113,28 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
         if views.health is Health.LOST:
             self._last = EpipoleEstimate(Health.LOST, views.reason)
             return self._last
-        sigma, turn = views.sigma, sent.omega * dt
         self._level(views)
-        target = self._pair("target", (views.current, views.target), sigma, (turn, 0.0))
-        initial = self._pair("initial", self._reference_rays(views), sigma, (0.0, turn))
-        if self._fixed is None or not self._fixed.usable(self.options.sd_limit_rad):
-            self._fixed = self._pair("fixed", (views.initial, views.target), sigma, (0.0, 0.0))
-            if not self._fixed.usable(self.options.sd_limit_rad):
-                reason = f"start and target cannot be told apart: {_problem(self._fixed)}"
-                self._last = EpipoleEstimate(Health.LOST, reason)
-                return self._last
-        self._locate(views, target, initial)
-        self._store(views, target)
-        aligned = None
-        if self._aligned is not None:
-            aligned = self._pair("aligned", self._aligned.common(views), sigma, (0.0, turn))
+        seed = self.context.seed + self._ticks
+        fixed = self._between_fixed(views, seed)
+        if not fixed.usable(self.options.sd_limit_rad):
+            reason = f"start and target cannot be told apart: {_problem(fixed)}"
+            self._last = EpipoleEstimate(Health.LOST, reason)
+            return self._last
+        sight = self._views.see(views)
+        motions = self._pairs.update(sight, views.sigma, sent.omega * dt, seed)
+        pairs = {name: EpipolePair.of(motion) for name, motion in motions.items()}
+        target = pairs[TARGET].swapped()
+        self._locate(views, sight, target, pairs[REFERENCE], fixed)
         self._last = EpipoleEstimate(
             target.health,
             target.reason,
             target,
-            initial,
+            pairs[REFERENCE],
             self._fixed,
-            aligned,
-            None if self._filter is None else self._filter.location,
+            pairs.get(ALIGNED),
+            self._filter.location if self._filter is not None else None,
         )
+        self._store(views, target)
         return self._last
 
     def values(self) -> Mapping[str, float]:
@@ -176,59 +155,59 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
             found["inverse_distance"] = self._last.location.inverse_distance
         if isinstance(self._solver, Uncalibrated):
             found["horizon"] = self._solver.horizon
-        names = {signal.name for signal in self.signals}
-        return {name: value for name, value in found.items() if name in names}
+        return {name: value for name, value in found.items() if name in self._reported}
 
     def _level(self, views: Views) -> None:
         """Find the horizon once, where the solver leaves it open."""
         if self._levelled or not isinstance(self._solver, Uncalibrated):
             return
         self._levelled = True
-        widest = float(np.tan(np.radians(self.options.horizon_deg)))
+        widest = math.tan(math.radians(self.options.horizon_deg))
         self._solver.level(views.initial, views.target, views.sigma, widest, self.context.seed)
 
-    # --- pairs ------------------------------------------------------------------------------
+    def _between_fixed(self, views: Views, seed: int) -> EpipolePair:
+        """Return the pair of the initial, or a later reference, and the target view.
 
-    def _pair(
-        self, name: str, rays: tuple[Array, Array], sigma: float, turns: tuple[float, float]
-    ) -> EpipolePair:
-        """Return the epipoles of a pair that is followed under ``name``.
-
-        ``turns`` are how far its views were told to turn since the last tick (rad).
+        It is a constant of the run once it is known well enough; before, it is searched at times.
         """
-        follower = self._followers.get(name)
-        if follower is None:
-            follower = PairFollower(self._solver, self.options.hypotheses)
-            self._followers[name] = follower
-        seed = self.context.seed + self._ticks
-        return EpipolePair.of(follower.update(*rays, sigma, turns, seed))
+        fixed, limit = self._fixed, self.options.sd_limit_rad
+        if fixed is not None and (fixed.usable(limit) or self._ticks % _SEARCH_EVERY != 0):
+            return fixed
+        rays, hypotheses = (views.target, views.initial), self.options.hypotheses
+        motion = self._solver.search(*rays, views.sigma, hypotheses, seed)
+        self._fixed = EpipolePair.of(motion).swapped()
+        # The robot still stands about where the initial view was taken.
+        self._pairs.begin(TARGET, motion)
+        self._pairs.begin(REFERENCE)
+        return self._fixed
 
-    # --- stored views -----------------------------------------------------------------------
+    # --- location ---------------------------------------------------------------------------
 
-    def _reference_rays(self, views: Views) -> tuple[Array, Array]:
-        if self._reference is None:
-            return views.initial, views.current
-        return self._reference.common(views)
-
-    def _three_rays(self, views: Views) -> tuple[Array, Array, Array]:
-        """Return the rays of the features that target, reference and current view share."""
-        if self._reference is None:
-            return views.target, views.initial, views.current
-        _, here, there = np.intersect1d(
-            self._reference.ids, views.ids, assume_unique=True, return_indices=True
-        )
-        return views.target[there], self._reference.rays[here], views.current[there]
-
-    def _locate(self, views: Views, target: EpipolePair, initial: EpipolePair) -> None:
+    def _locate(
+        self,
+        views: Views,
+        sight: Sight,
+        target: EpipolePair,
+        reference: EpipolePair,
+        fixed: EpipolePair,
+    ) -> None:
         if self._filter is None:
-            if self._fixed is not None and self._fixed.usable(self.options.sd_limit_rad):
-                guess = 1.0 / self.options.distance_m
-                self._filter = self._filter_from(self._fixed, guess, _DISTANCE_SD)
+            self._filter = self._filter_from(fixed, 1.0 / self.options.distance_m, _DISTANCE_SD)
             return
-        self._filter.update(target, initial, self.options.sd_limit_rad)
+        self._filter.update(target, reference, self.options.sd_limit_rad)
         if self._metric:
-            self._filter.place(self._three_rays(views), views.sigma)
+            structure = self._structure_of(sight, self._filter)
+            placed = structure.place(sight.current, self._filter.pose, views.sigma)
+            self._filter.place(placed)
         self._move_reference(views, target, self._filter)
+
+    def _structure_of(self, sight: Sight, found: LocationFilter) -> Structure:
+        """Return where target and reference view see the features: constant while they stay."""
+        structure = self._structure
+        if structure is None or not structure.stands_for(sight.fixed, found.reference):
+            structure = Structure(sight.fixed, found.reference, sight.present)
+            self._structure = structure
+        return structure
 
     def _filter_from(self, fixed: EpipolePair, guess: float, sd: float) -> LocationFilter:
         ahead, slip = self.context.camera_forward_m, self.options.slip
@@ -236,30 +215,33 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
 
     def _move_reference(self, views: Views, target: EpipolePair, old: LocationFilter) -> None:
         """Take the current view as the reference if the old one lies on the target's axis."""
-        limit = np.radians(self.options.reference_deg)
-        if abs(np.sin(old.psi1)) >= np.sin(limit) or not target.usable(self.options.sd_limit_rad):
+        limit = math.radians(self.options.reference_deg)
+        if abs(math.sin(old.psi1)) >= math.sin(limit) or not target.usable(
+            self.options.sd_limit_rad
+        ):
             return
         at = old.location
-        off, rho = float(np.arctan2(at.x, -at.y)), float(np.hypot(at.x, at.y))
-        if limit < abs(off) < np.pi / 2.0 and rho > 0.0:
-            self._reference = _StoredView(views.ids.copy(), views.current.copy())
-            self._followers.pop("initial", None)
+        off, rho = math.atan2(at.x, -at.y), math.hypot(at.x, at.y)
+        if limit < abs(off) < math.pi / 2.0 and rho > 0.0:
+            self._views.store(REFERENCE, views)
+            self._pairs.begin(REFERENCE)
             self._fixed = target
-            sd = float(np.sqrt(at.covariance[3, 3]))
+            sd = math.sqrt(float(at.covariance[3, 3]))
             self._filter = self._filter_from(target, at.inverse_distance / rho, sd / rho)
 
     def _store(self, views: Views, target: EpipolePair) -> None:
         """Keep the current view as the aligned one when it is time."""
-        if self._aligned is not None:
+        if ALIGNED in self._views:
             return
-        limit = np.radians(self.options.aligned_deg)
-        off = max(abs(np.arctan(target.epipole_a)), abs(np.arctan(target.epipole_b)))
+        limit = math.radians(self.options.aligned_deg)
+        off = max(abs(math.atan(target.epipole_a)), abs(math.atan(target.epipole_b)))
         ok = target.usable(limit) and off < limit
         self._within = self._within + 1 if ok else 0
         after = self.options.aligned_after_s
         due = self._within * self.context.period_s >= 1.0 if after is None else self._time >= after
         if due:
-            self._aligned = _StoredView(views.ids.copy(), views.current.copy())
+            self._views.store(ALIGNED, views)
+            self._pairs.begin(ALIGNED)
 
 
 def _problem(pair: EpipolePair) -> str:
@@ -268,5 +250,5 @@ def _problem(pair: EpipolePair) -> str:
         return pair.reason
     if pair.reason:
         return f"{pair.reason}; start farther from the target, or where more is to be seen"
-    sd = np.degrees(max(pair.sd_a, pair.sd_b))
+    sd = math.degrees(max(pair.sd_a, pair.sd_b))
     return f"the epipoles are known to {sd:.0f} deg only: start farther from the target"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,13 +58,13 @@ class TensorEstimate(Estimate):
     scale_m: float
     scale_sd_m: float
 
-    @cached_property
+    @property
     def outputs(self) -> Pair:
         """ξ1 = T112 + T121 and ξ2 = T212 + T221, both 0 at the target's position."""
         T = self._numbers
         return T[T112] + T[T121], T[T212] + T[T221]
 
-    @cached_property
+    @property
     def outputs_covariance(self) -> Symmetric2:
         """Covariance of ``outputs``."""
         C = self.covariance
@@ -74,7 +73,7 @@ class TensorEstimate(Estimate):
             first[T112] + first[T121], first[T212] + first[T221], second[T212] + second[T221]
         )
 
-    @cached_property
+    @property
     def target(self) -> Pair:
         """Target's position (right, forward) from the current pose, in units of T121.
 
@@ -105,7 +104,7 @@ class TensorEstimate(Estimate):
         """Distance to the target's position (m)."""
         return abs(self.scale_m) * math.hypot(*self.outputs)
 
-    @cached_property
+    @property
     def heading(self) -> float:
         """Heading of the current view in the target's frame (rad), from T and φ1.
 
@@ -127,11 +126,10 @@ class TensorEstimate(Estimate):
         T, s, c = self._numbers, math.sin(self.phi_1), math.cos(self.phi_1)
         return (T[T111] - T[T122]) * s + (T[T211] - T[T222]) * c
 
-    @cached_property
+    @property
     def _numbers(self) -> list[float]:
         """The elements as plain numbers."""
-        numbers: list[float] = self.elements.tolist()
-        return numbers
+        return list(self.elements.tolist())
 
     @property
     def _sign(self) -> float:

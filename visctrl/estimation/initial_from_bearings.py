@@ -15,7 +15,7 @@ from visctrl.geometry.trifocal import CALIBRATED, Trilinear, trilinear, view_par
 from visctrl.geometry.trifocal_fit import coupling, refine
 from visctrl.geometry.trifocal_motion import motions_of_tensor, share_in_front
 from visctrl.geometry.trifocal_solvers import identical_views, ransac
-from visctrl.plugins import Context, Views
+from visctrl.plugins import Views
 
 Array = NDArray[np.float64]
 
@@ -31,9 +31,9 @@ class InitialFromBearings:
     A tensor stands for two motions; what the robot was told to drive decides between them.
     """
 
-    def __init__(self, options: TensorOptions, context: Context) -> None:
+    def __init__(self, options: TensorOptions, seed: int) -> None:
         self._options = options
-        self._seed = context.seed
+        self._seed = seed
 
     def find(
         self, views: Views, driven: Point, turned: float, guess: InitialView | None = None

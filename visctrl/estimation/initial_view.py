@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +24,36 @@ CONDITION = 1e12
 _NONE = Symmetric2(0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
 class InitialView:
     """Heading of the initial view and the direction in which it sees the target.
 
-    phi : φ1 (rad); bearing : of the target (rad, clockwise from forward). The unit of length is
-    the distance to the target.
-    covariance : (2, 2), of (phi, bearing) (rad²).
+    Parameters
+    ----------
+    phi, bearing : float
+        φ1, and where the target is seen (rad, clockwise from forward). The unit of length is the
+        distance to the target.
+    covariance : (2, 2) array
+        Of (phi, bearing) (rad²).
+
+    Attributes
+    ----------
+    target : (right, forward)
+        The target's position, of unit length.
+    parameters : (4,) array
+        See `visctrl.geometry.trifocal.view_parameters`.
+    jacobian : (4, 2) array
+        Derivative of ``parameters`` by (phi, bearing).
+    basis : (8, 4) array
+        The tensors that have this initial view.
     """
 
-    phi: float
-    bearing: float
-    covariance: Array
+    def __init__(self, phi: float, bearing: float, covariance: Array) -> None:
+        self.phi, self.bearing, self.covariance = phi, bearing, covariance
+        s, c = math.sin(phi), math.cos(phi)
+        right, forward = self.target = math.sin(bearing), math.cos(bearing)
+        self.parameters = np.array([c, s, right, forward])
+        self.jacobian = np.array([[-s, 0.0], [c, 0.0], [0.0, forward], [0.0, -right]])
+        self.basis = current_view_basis(self.parameters)
 
     @classmethod
     def of(cls, motion: PlanarMotion) -> InitialView:
@@ -45,28 +61,6 @@ class InitialView:
         # The target's heading seen from the initial view is −φ1.
         sign = np.array([-1.0, 1.0])
         return cls(-motion.phi, motion.direction, motion.covariance * np.outer(sign, sign))
-
-    @cached_property
-    def target(self) -> tuple[float, float]:
-        """The target's position (right, forward), of unit length."""
-        return math.sin(self.bearing), math.cos(self.bearing)
-
-    @cached_property
-    def parameters(self) -> Array:
-        """(4,): see `visctrl.geometry.trifocal.view_parameters`."""
-        return np.array([math.cos(self.phi), math.sin(self.phi), *self.target])
-
-    @cached_property
-    def jacobian(self) -> Array:
-        """Derivative (4, 2) of ``parameters`` by (phi, bearing)."""
-        s, c = math.sin(self.phi), math.cos(self.phi)
-        right, forward = math.sin(self.bearing), math.cos(self.bearing)
-        return np.array([[-s, 0.0], [c, 0.0], [0.0, forward], [0.0, -right]])
-
-    @cached_property
-    def basis(self) -> Array:
-        """(8, 4): the tensors that have this initial view."""
-        return current_view_basis(self.parameters)
 
 
 class InitialViewFilter:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -52,6 +53,17 @@ class PoseEstimate(Estimate):
     covariance: Array
     initial: Pose
     need: Need = Need.NOTHING
+
+    @property
+    def known(self) -> bool:
+        """Whether the pose may be used."""
+        return self.need is Need.NOTHING
+
+    @property
+    def position_sd(self) -> float:
+        """Standard deviation of the position where it is largest (m)."""
+        xx, xy, yy = self.covariance[0, 0], self.covariance[0, 1], self.covariance[1, 1]
+        return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
 
     def values(self) -> dict[str, float]:
         """Return the pose and its standard deviations as numbers for ``ticks.csv``."""

@@ -11,6 +11,11 @@ bearing in the initial and the target view. Only odometry knows metres and it en
 in q, so a wrong scale does not spoil the geometry that the images tell. Each bearing in the
 current view is one measurement, predicted by exact transfer from the other two views.
 
+What the filter is told of the noise may be wrong, and bearings contradict each other when the
+camera is not as calibrated. All variances are therefore known up to a common factor only, which
+is 1 until innovations turn out larger than predicted. It changes no estimate, but what counts as
+an outlier, and how sure the filter says it is.
+
 The algebra is that of an extended Kalman filter; it uses that the motion touches three numbers
 and each bearing eight, which a general filter would multiply by zeros ten times as long.
 """
@@ -35,10 +40,19 @@ Index = NDArray[np.intp]
 
 #: Numbers that all features share.
 CORE = 6
+#: The place of a feature is as uncertain, relative to its range, as φ1 is relative to the
+#: feature's parallax. Beyond one part in this many the transfer is no longer linear in the
+#: state, and a feature that the camera comes near would make the filter sure of a wrong pose.
+_PARALLAX_SIGMAS = 6.0
 #: A predicted bearing less certain than this (rad) is beyond what one linear step can use.
 _MAX_PREDICTED_SD = 0.1
 #: Innovations beyond this many standard deviations are errors, not noise.
 _GATE = 4.0
+#: Weight of the newest picture in the mean of squared innovations (1 where the filter is
+#: consistent), and by what factor that mean must differ from 1 before all variances follow it.
+_NEWEST, _EXCESS = 0.2, 1.5
+#: A square counts for at most this; the mean of such squares of standard normal variables.
+_CAPPED, _CAPPED_MEAN = 9.0, 0.9950
 
 
 @dataclass(frozen=True)
@@ -105,11 +119,17 @@ class TransferFilter:
         Its covariance.
     theta1, theta3 : (N,) arrays
         Measured bearings of the features in the initial and the target view (rad).
+
+    Attributes
+    ----------
+    factor : float
+        By which all variances are greater than was said, at least 1.
     """
 
     def __init__(self, x: Array, P: Array, theta1: Array, theta3: Array) -> None:
         self.x, self.P = x.copy(), P.copy()
         self.theta1, self.theta3 = theta1.copy(), theta3.copy()
+        self.factor, self._excess = 1.0, 1.0
 
     @property
     def count(self) -> int:
@@ -192,19 +212,38 @@ class TransferFilter:
         transfer = self.transfer(index)
         innovation = wrap_half_turn(theta2 - transfer.bearing)
         core, slopes = self.core_jacobian(transfer), -transfer.by_bearings.T
-        used = np.flatnonzero(np.abs(transfer.parallax) > MINIMUM_PARALLAX)
+        least = max(MINIMUM_PARALLAX, _PARALLAX_SIGMAS * math.sqrt(self.P[4, 4]))
+        used = np.flatnonzero(np.abs(transfer.parallax) > least)
         H = _Slopes(core, slopes, CORE + index, CORE + self.count + index).at(used)
         HP = H.times(self.P)
         predicted = H.diagonal(HP)
+        noise = self.factor * sigma2[used] ** 2
+        square = innovation[used] ** 2 / (predicted + noise)
         good = predicted < _MAX_PREDICTED_SD**2
-        good &= innovation[used] ** 2 < _GATE**2 * (predicted + sigma2[used] ** 2)
+        growth = self._growth(square[good])
+        HP *= growth
+        noise *= growth
+        good &= square < growth * _GATE**2
         if not good.all():
-            used, H, HP = used[good], H.at(np.flatnonzero(good)), HP[good]
+            used, H, HP, noise = used[good], H.at(np.flatnonzero(good)), HP[good], noise[good]
         if not len(used):
             return Innovation(0.0, used)
         S = H.times(HP.T)
-        S.flat[:: len(used) + 1] += sigma2[used] ** 2
+        S.flat[:: len(used) + 1] += noise
         return Innovation(self._update(HP, S, innovation[used]), used)
+
+    def _growth(self, square: Array) -> float:
+        """Let all variances follow normalised innovations squared; return by what factor."""
+        if not len(square):
+            return 1.0
+        mean = float(np.minimum(square, _CAPPED).mean()) / _CAPPED_MEAN
+        self._excess += _NEWEST * (mean - self._excess)
+        if 1.0 / _EXCESS < self._excess < _EXCESS:
+            return 1.0
+        growth, self._excess = max(self._excess, 1.0 / self.factor), 1.0
+        self.factor *= growth
+        self.P *= growth
+        return growth
 
     def _update(self, HP: Array, S: Array, innovation: Array) -> float:
         """Update by an innovation and its covariance; return its normalised square.
@@ -228,7 +267,7 @@ class TransferFilter:
         for row, sigma in ((CORE + slot, sigma1), (CORE + self.count + slot, sigma3)):
             self.x[row] = 0.0
             self.P[row, :] = self.P[:, row] = 0.0
-            self.P[row, row] = sigma**2
+            self.P[row, row] = self.factor * sigma**2
         self.theta1[slot], self.theta3[slot] = theta1, theta3
 
     # --- result ----------------------------------------------------------------------------

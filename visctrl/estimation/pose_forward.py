@@ -51,7 +51,7 @@ class InitialAverage:
         initial /= np.maximum(np.linalg.norm(initial, axis=1, keepdims=True), 1e-12)
         sigmas = views.bearing_sigmas().copy()
         sigmas[1] /= np.sqrt([count for _, count in known])
-        return replace(views, initial=initial, sigmas=sigmas)
+        return replace(views, initial=initial, sigmas=lambda: sigmas)
 
 
 class ForwardLeg:

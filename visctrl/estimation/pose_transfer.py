@@ -45,10 +45,10 @@ class TransferOptions(Document):
     """
 
     initial_frames: Annotated[int, Field(ge=1, le=100)] = 5
-    scale_sd: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.04
+    scale_sd: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.02
     leg_min_m: Positive = 0.2
     leg_max_m: Positive = 1.5
-    rival: NonNegative = 6.0
+    rival: NonNegative = 50.0
     max_features: Annotated[int, Field(ge=5, le=500)] = 60
     exchange_frames: Annotated[int, Field(ge=1)] = 10
     blind_max_s: Positive = 3.0
@@ -67,7 +67,11 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     """Stands, drives a first leg, then filters; see `TransferFilter`."""
 
     Options: ClassVar[type[TransferOptions]] = TransferOptions
-    signals: ClassVar[tuple[Signal, ...]] = (*POSE_SIGNALS, Signal("features_used", "1"))
+    signals: ClassVar[tuple[Signal, ...]] = (
+        *POSE_SIGNALS,
+        Signal("features_used", "1"),
+        Signal("noise_factor", "1"),
+    )
 
     def __init__(self, options: TransferOptions, context: Context) -> None:
         super().__init__(options, context)
@@ -113,7 +117,10 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         found = self._last.values()
         if self._innovation.dof:
             found |= {"nis": self._innovation.nis, "nis_dof": float(self._innovation.dof)}
-        return found | {"features_used": float(self._innovation.dof)}
+        found["features_used"] = float(self._innovation.dof)
+        if self._filter is not None:
+            found["noise_factor"] = math.sqrt(self._filter.factor)
+        return found
 
     # --- first leg ---------------------------------------------------------------------------
 

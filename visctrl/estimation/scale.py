@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from hal.actuation import towards
 from hal.types import Pose, Velocity
 from robots import Limits
 from robots.unicycle import along_arc
@@ -54,9 +55,11 @@ class DeadReckoning:
         step = dt / steps
         dv = self._limits.acceleration_m_s2 * step
         dw = self._limits.angular_acceleration_rad_s2 * step
-        for _ in range(steps):
-            v += max(-dv, min(dv, sent.v - v))
-            omega += max(-dw, min(dw, sent.omega - omega))
+        for left in range(steps, 0, -1):
+            if (v, omega) == sent:
+                pose = along_arc(pose, sent, left * step)
+                break
+            v, omega = towards(v, sent.v, dv), towards(omega, sent.omega, dw)
             pose = along_arc(pose, (v, omega), step)
         self._velocity = (v, omega)
         return pose

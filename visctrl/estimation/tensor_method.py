@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +48,7 @@ class TensorOptions(Document):
     min_inliers: Annotated[float, Field(gt=0.0, le=1.0)] = 0.4
 
 
-@dataclass(frozen=True)
-class Measurement:
+class Measurement(NamedTuple):
     """One tick's tensor, in any scale.
 
     tensor, covariance : (8,), (8, 8).

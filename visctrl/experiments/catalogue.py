@@ -148,7 +148,7 @@ _ENTRIES = (
     ),
     Entry(
         "fig-4.4-sim",
-        "pose scheme past a box on rendered images (bounds are the project's own)",
+        "pose scheme past boxes, listed or heard by sonar, rendered (bounds are the project's own)",
         "visctrl.experiments.pose_figures:figure_4_4_sim",
     ),
     Entry(

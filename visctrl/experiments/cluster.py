@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
-from concurrent.futures import CancelledError
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from typing import Any, TypeVar
 
 from hal.errors import DeviceError
 from robots.errors import InputError
-from visctrl.experiments.workers import Died, Results, stream
+from visctrl.experiments.workers import Died, Results
 from visctrl.runtime.summary import versions
 from visctrl.threads import limit_all
 
@@ -19,6 +19,7 @@ R = TypeVar("R")
 CONNECT_S = 10.0
 #: Items under way at a time: enough for any cluster, and for workers that join later.
 _WINDOW = 2000
+_NO_MORE: Any = object()
 
 
 class ClusterError(DeviceError):
@@ -74,6 +75,11 @@ class ClusterWorkers:
             self.close()
             raise
 
+    @property
+    def count(self) -> int:
+        """How many workers there are now."""
+        return max(len(self._client.scheduler_info()["workers"]), 1)
+
     def close(self) -> None:
         """Let go of the scheduler; what is queued for this client is dropped."""
         self._client.close(timeout=CONNECT_S)
@@ -90,9 +96,7 @@ class ClusterWorkers:
 
         executor = self._client.get_executor(pure=False)
         try:
-            for item, future in stream(
-                lambda item: executor.submit(work, item), items, lambda: _WINDOW
-            ):
+            for item, future in _stream(lambda item: executor.submit(work, item), items):
                 try:
                     result = future.result()
                 except KilledWorker as error:
@@ -107,6 +111,23 @@ class ClusterWorkers:
                     yield item, result
         finally:
             executor.shutdown(wait=False)
+
+
+def _stream(submit: Callable[[T], Future[R]], items: Iterable[T]) -> Iterator[tuple[T, Future[R]]]:
+    """Yield items with their finished futures; never more than `_WINDOW` are under way.
+
+    Items are taken only as they are submitted, so that there may be any number of them.
+    """
+    left = iter(items)
+    running: dict[Future[R], T] = {}
+    while True:
+        while len(running) < _WINDOW and (item := next(left, _NO_MORE)) is not _NO_MORE:
+            running[submit(item)] = item
+        if not running:
+            return
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield running.pop(future), future
 
 
 def _worker_versions() -> dict[str, str]:

@@ -111,6 +111,8 @@ class Study(Document):
     seed : what seeds and drawn values come from.
     paired : the n-th run of every cell has the same seed and draws, so that cells differ in
         nothing but the grid; else all are independent.
+    batched : runs that differ in start and seed only are driven together in array operations,
+        where these are made for them (see `visctrl.montecarlo`); else each by itself.
     """
 
     title: str = ""
@@ -123,6 +125,7 @@ class Study(Document):
     seeds: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     paired: bool = False
+    batched: bool = True
 
     @model_validator(mode="after")
     def _consistent(self) -> Study:
@@ -164,6 +167,13 @@ class Study(Document):
     def varied(self) -> tuple[str, ...]:
         """Keys whose values differ from cell to cell, and then from run to run."""
         return (*self.grid, *(START_KEYS if self.starts else ()), *self.random)
+
+    @property
+    def together(self) -> bool:
+        """Whether there are runs by construction that differ in start and seed only."""
+        drawn, varied = set(self.random), {*self.grid, *(START_KEYS if self.starts else ())}
+        several = self.repeats > 1 or bool(varied & set(START_KEYS))
+        return self.batched and several and drawn <= set(START_KEYS)
 
     def cells(self) -> Iterator[dict[str, Any]]:
         """Yield what every cell sets, by key; the last axis changes fastest."""

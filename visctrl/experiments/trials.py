@@ -9,10 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from hal.interfaces import Backend
 from robots.documents import read_yaml, validate
 from robots.errors import InputError, VisctrlError
-from visctrl.config import Override, overlaid, scenario_from, scenario_names, scenario_source
+from visctrl.config import (
+    Override,
+    Start,
+    overlaid,
+    scenario_from,
+    scenario_names,
+    scenario_source,
+)
 from visctrl.experiments.study import START_KEYS, Study, study_source
 from visctrl.runtime.loop import PluginError
 from visctrl.runtime.plan import Chosen, Plan, make_plan
@@ -28,6 +37,7 @@ class Trial:
     values : what is its own, by dotted key, the seed included.
     scenario : the keys of its scenario.
     key : digest of everything that its result depends on, to know it again in a later call.
+    kind : the same for all runs that may be driven together, None if none may.
     """
 
     index: int
@@ -35,6 +45,7 @@ class Trial:
     values: dict[str, Any]
     scenario: dict[str, Any]
     key: str
+    kind: str | None
 
 
 @dataclass(frozen=True)
@@ -58,7 +69,9 @@ class LoadedStudy:
                 own = study.trial(values, number)
                 scenario = overlaid(self.base, self._overrides(own))
                 index = cell * study.repeats + number
-                yield Trial(index, cell, own, scenario, _digest(scenario, files))
+                kind = _kind(own) if study.together else None
+                key = _digest(scenario, files, together=study.together)
+                yield Trial(index, cell, own, scenario, key, kind)
 
     def check(self, announce: Callable[[int, int], None] = lambda total, done: None) -> None:
         """Check every scenario that will be run: each cell, and each draw.
@@ -76,12 +89,25 @@ class LoadedStudy:
         study = self.study
         each = study.repeats if study.random else 1
         total = study.count // study.repeats * each
-        done = 0
+        done, checked = 0, set()
         for values in study.cells():
             for number in range(each):
-                self._check_one(study.trial(values, number))
+                own = study.trial(values, number)
+                kind = _kind(own) if study.together else None
+                if kind not in checked or not self._starts(own):
+                    self._check_one(own)
+                checked |= {kind} - {None}
                 done += 1
                 announce(total, done)
+
+    def _starts(self, own: Mapping[str, Any]) -> bool:
+        """Return whether start and seed of a run are fit for use, the rest of it being so."""
+        scenario = overlaid(self.base, self._overrides(own))
+        try:
+            Start.model_validate(scenario.get("start", {}))
+        except ValidationError:
+            return False
+        return True
 
     def _check_one(self, own: Mapping[str, Any]) -> None:
         overrides = self._overrides(own)
@@ -157,8 +183,17 @@ def _short(own: Mapping[str, Any]) -> str:
     return ", ".join(f"{key}={value}" for key, value in own.items())
 
 
-def _digest(scenario: Mapping[str, Any], files: dict[str, str]) -> str:
-    """Return the digest of a scenario and of the files it names; ``files`` keeps theirs."""
+def _kind(own: Mapping[str, Any]) -> str:
+    """Return what sets a run's values apart from those of others, but for start and seed."""
+    rest = {key: value for key, value in own.items() if key not in (*START_KEYS, "seed")}
+    return json.dumps(rest, sort_keys=True, default=str)
+
+
+def _digest(scenario: Mapping[str, Any], files: dict[str, str], *, together: bool) -> str:
+    """Return the digest of a scenario and of the files it names; ``files`` keeps theirs.
+
+    together : it may be driven with others, which rounds the last digit differently.
+    """
     named = [(scenario.get("camera") or {}).get("name"), (scenario.get("target") or {}).get("file")]
     for name in named:
         if isinstance(name, str) and name not in files:
@@ -166,5 +201,6 @@ def _digest(scenario: Mapping[str, Any], files: dict[str, str]) -> str:
             content = path.read_bytes() if path.is_file() else b""
             files[name] = hashlib.sha256(content).hexdigest()
     contents = [files.get(name) for name in named if isinstance(name, str)]
-    text = json.dumps([scenario, contents], sort_keys=True, default=str)
+    everything = [scenario, contents, *(["together"] if together else [])]
+    text = json.dumps(everything, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:32]

@@ -13,40 +13,26 @@ the camera's own height say nothing.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robots.unicycle import wrap_angle
 from visctrl.geometry.parallax import signed_parallax
+from visctrl.geometry.planar_fit import IDENTICAL as IDENTICAL
+from visctrl.geometry.planar_fit import Fit, RayPairs, fit
 from visctrl.plugins import Health
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Why a motion is degenerate: the baseline does not stand out of the noise.
-IDENTICAL = "views identical: the direction of the baseline is not determined"
 #: Fewer correspondences than this leave no residual to judge a motion by.
 MINIMUM_FEATURES = 4
-#: Scale of the soft-L1 kernel in standard deviations of the residual.
-_KERNEL_SIGMAS = 1.5
-#: A baseline shows when its information exceeds the noise's by this many standard deviations.
-_BASELINE_SIGNIFICANCE = 5.0
 #: A feature's parallax is at most this many times the usual one.
-_NEAREST = 10.0
-#: Noise of the θ column (in σ²) up to which a feature always says something about the direction,
-#: and the multiple of the usual noise up to which it does where all have more.
-_MAX_NOISE, _USUAL_NOISE = 4.0, 10.0
-#: Standard deviations (rad) beyond which a motion counts as undetermined.
-_MAX_PHI_SD, _MAX_DIRECTION_SD = 0.2, 0.5
-#: A step shorter than this part of a ray's noise ends a descent.
-_STILL = 1e-2
-#: After a step shorter than this many times a ray's noise, the next is Newton's.
-_NEAR = 10.0
-#: Variance of a direction of which nothing is known (uniform on the circle).
-_UNKNOWN_DIRECTION = np.pi**2 / 3.0
+NEAREST = 10.0
 
 
 @dataclass(frozen=True)
@@ -71,21 +57,12 @@ class PlanarMotion:
     @property
     def phi_sd(self) -> float:
         """Standard deviation of ``phi`` (rad)."""
-        return float(np.sqrt(self.covariance[0, 0]))
+        return math.sqrt(float(self.covariance[0, 0]))
 
     @property
     def direction_sd(self) -> float:
         """Standard deviation of ``direction`` (rad)."""
-        return float(np.sqrt(self.covariance[1, 1]))
-
-
-class _Linearised(NamedTuple):
-    """Sampson residuals (rad) and their derivatives by (φ, θ)."""
-
-    residual: Array
-    jacobian: Array
-    #: Variance of the θ column that is due to pixel noise alone, in units of σ².
-    noise: Array
+        return math.sqrt(float(self.covariance[1, 1]))
 
 
 def essential_matrix(phi: ArrayLike, direction: ArrayLike) -> Array:
@@ -113,8 +90,8 @@ def sampson_residuals(
     The residual is the algebraic error over the norm of its gradient by both rays: to first
     order its standard deviation is that of one ray's direction.
     """
-    linear = _linearise(np.asarray(rays_a), np.asarray(rays_b), phi, direction)
-    return linear.residual, linear.jacobian
+    linear = RayPairs.of(rays_a, rays_b).linearised([(phi, direction)])
+    return linear.residual, linear.jacobian.T
 
 
 def ransac_planar_motion(
@@ -191,25 +168,56 @@ def refine_planar_motion(
     iterations : int
         At most this many steps.
     """
-    a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
-    if len(a) < MINIMUM_FEATURES:
-        return _too_few(len(a))
-    phi, direction = _descend(a, b, (phi0, direction0), sigma, iterations)
-    linear = _linearise(a, b, phi, direction)
-    scaled = linear.residual / sigma
-    weights = _soft_l1_weights(scaled)
-    # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
-    spread = max(1.0, 1.4826 * float(np.median(np.abs(scaled))))
-    covariance, reason = _covariance(linear, weights, sigma, spread)
-    direction = _towards_points(a, b, phi, direction, sigma)
-    return PlanarMotion(
-        float(wrap_angle(phi)),
-        direction,
-        covariance,
-        np.abs(scaled) < 3.0 * spread,
-        Health.DEGENERATE if reason else Health.OK,
-        reason,
+    pairs = RayPairs.of(rays_a, rays_b)
+    return refine_motions(pairs, [(phi0, direction0)], sigma, iterations=iterations)[0]
+
+
+def refine_motions(
+    pairs: RayPairs,
+    starts: Sequence[tuple[float, float]],
+    sigma: float | Array,
+    *,
+    limit_sigmas: float = math.inf,
+    present: Mask | None = None,
+    iterations: int = 15,
+) -> list[PlanarMotion]:
+    """Refine the planar motions of several pairs of views, or several of one, in one go.
+
+    Parameters
+    ----------
+    pairs : RayPairs
+    starts : (phi, direction) in rad, one a motion
+    sigma : float or (P,) array
+        Standard deviation of one ray's direction (rad), of all pairs or of each.
+    limit_sigmas : float
+        Features with residuals larger than so many ``sigma`` do not count, while most have
+        smaller ones.
+    present : (P, N) array or None
+        Features that a pair has at all; None for all.
+    iterations : int
+        At most this many steps.
+    """
+    if pairs.features < MINIMUM_FEATURES:
+        return [_too_few(pairs.features) for _ in starts]
+    fits = fit(
+        pairs,
+        starts,
+        sigma,
+        limit_sigmas=limit_sigmas,
+        present=present,
+        iterations=iterations,
     )
+    return [_motion(found) for found in fits]
+
+
+def _motion(found: Fit) -> PlanarMotion:
+    agreeing = int(np.count_nonzero(found.inliers))
+    if agreeing < MINIMUM_FEATURES:
+        return _too_few(len(found.inliers), agreeing)
+    pp, pt, tt = found.variance
+    covariance = np.array([[pp, pt], [pt, tt]])
+    health = Health.DEGENERATE if found.reason else Health.OK
+    return PlanarMotion(found.phi, found.direction, covariance, found.inliers, health, found.reason)
 
 
 def two_point_motions(a: Array, b: Array) -> tuple[Array, Array]:
@@ -248,115 +256,6 @@ def squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
     return np.asarray(error * error / np.maximum(gradient, 1e-18), dtype=np.float64)
 
 
-def _linearise(a: Array, b: Array, phi: float, direction: float) -> _Linearised:
-    theta, alpha = direction, direction + phi
-    st, ct, sa, ca = np.sin(theta), np.cos(theta), np.sin(alpha), np.cos(alpha)
-    A, dA = np.array([[ct, -st], [-st, -ct]]) @ a[:, :2].T
-    B, dB = np.array([[-ca, sa], [sa, ca]]) @ b[:, :2].T
-    up = a[:, 2] ** 2 + b[:, 2] ** 2
-    gradient2 = np.maximum(up + A * A + B * B, 1e-18)
-    gradient = np.sqrt(gradient2)
-    residual = (b[:, 2] * A + a[:, 2] * B) / gradient
-    by_theta = (b[:, 2] * dA - residual * A * dA / gradient) / gradient
-    by_alpha = (a[:, 2] * dB - residual * B * dB / gradient) / gradient
-    # α = θ + φ, so φ moves α only and θ moves both.
-    jacobian = np.stack([by_alpha, by_theta + by_alpha], axis=-1)
-    return _Linearised(residual, jacobian, (up + dA * dA + dB * dB) / gradient2)
-
-
-def _soft_l1_weights(scaled: Array) -> Array:
-    return np.asarray(1.0 / np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2), dtype=np.float64)
-
-
-def _soft_l1_cost(scaled: Array) -> float:
-    return float(np.sum(np.sqrt(1.0 + (scaled / _KERNEL_SIGMAS) ** 2) - 1.0))
-
-
-def _descend(
-    a: Array, b: Array, start: tuple[float, float], sigma: float, iterations: int
-) -> tuple[float, float]:
-    """Return the (φ, θ) that Levenberg–Marquardt reaches from ``start``."""
-    phi, direction = start
-    linear = _linearise(a, b, phi, direction)
-    cost, damping, newton = _soft_l1_cost(linear.residual / sigma), 1e-3, False
-    for _ in range(iterations):
-        step_phi, step_direction = _step(linear, sigma, damping, newton)
-        longest = max(abs(step_phi), abs(step_direction))
-        # A direction without information must not jump round the circle.
-        shorter = min(1.0, 0.5 / max(longest, 1e-12))
-        ahead = phi + shorter * step_phi, direction + shorter * step_direction
-        trial = _linearise(a, b, *ahead)
-        trial_cost = _soft_l1_cost(trial.residual / sigma)
-        if trial_cost > cost:
-            if longest < _STILL * sigma:
-                break
-            damping, newton = max(damping, 1e-6) * 10.0, False
-            continue
-        (phi, direction), linear, cost = ahead, trial, trial_cost
-        damping, newton = damping * 0.1, longest < _NEAR * sigma
-        if longest < _STILL * sigma:
-            break
-    return phi, direction
-
-
-def _step(linear: _Linearised, sigma: float, damping: float, newton: bool) -> tuple[float, float]:
-    """Return the damped step of (φ, θ): Newton's, or the shorter one of reweighted squares."""
-    weights = _soft_l1_weights(linear.residual / sigma)
-    # The kernel's own curvature is w³; far out that would overshoot.
-    curvature = weights * np.maximum(weights * weights, 0.5) if newton else weights
-    J = linear.jacobian
-    H = (J * curvature[:, None]).T @ J
-    g = (weights * linear.residual) @ J
-    pp, tt = float(H[0, 0]) * (1.0 + damping) + 1e-12, float(H[1, 1]) * (1.0 + damping) + 1e-12
-    pt = float(H[0, 1])
-    # Damped on its diagonal, H is positive definite.
-    det = pp * tt - pt * pt
-    return (pt * float(g[1]) - tt * float(g[0])) / det, (pt * float(g[0]) - pp * float(g[1])) / det
-
-
-def _covariance(
-    linear: _Linearised, weights: Array, sigma: float, spread: float
-) -> tuple[Array, str]:
-    """Return the covariance of (φ, θ) and the name of the degeneracy, if any."""
-    J = linear.jacobian
-    variance = (sigma * spread) ** 2
-    info = (weights[:, None] * J).T @ J / variance
-    if info[0, 0] * _MAX_PHI_SD**2 < 1.0:
-        return np.diag([np.inf, np.inf]), "features clustered, or level with the camera"
-    significance, direction_info = _direction_information(linear, weights, variance)
-    if significance < _BASELINE_SIGNIFICANCE:
-        alone = np.diag([1.0 / info[0, 0], _UNKNOWN_DIRECTION])
-        return alone, IDENTICAL
-    coupling = info[0, 1] / info[0, 0]
-    v = 1.0 / max(direction_info - coupling * info[0, 1], 1e-12)
-    covariance = np.array([[1.0 / info[0, 0] + coupling**2 * v, -coupling * v], [-coupling * v, v]])
-    if covariance[0, 0] > _MAX_PHI_SD**2 or v > _MAX_DIRECTION_SD**2:
-        return covariance, "features clustered: they do not separate turning from moving"
-    return covariance, ""
-
-
-def _direction_information(
-    linear: _Linearised, weights: Array, variance: float
-) -> tuple[float, float]:
-    """Return how many sigmas the baseline stands out of the noise, and what θ is known by.
-
-    With a short baseline the noise itself makes the θ column non-zero; its share is taken out
-    of the information, or the direction would look known when it is not. Rays along the
-    baseline and level with the camera have a column of mostly noise, for a perspective camera
-    that drives ahead nearly all of them: each counts in the test by how little of it is.
-    """
-
-    def debiased(w: Array) -> tuple[float, float]:
-        signal = float(np.sum(w * (linear.jacobian[:, 1] ** 2 / variance - linear.noise)))
-        return signal, np.sqrt(2.0 * float(np.sum((w * linear.noise) ** 2)))
-
-    shown, doubt = debiased(weights / (1.0 + linear.noise))
-    loud = max(_MAX_NOISE, _USUAL_NOISE * float(np.median(linear.noise)))
-    sure, _ = debiased(np.where(linear.noise < loud, weights, 0.0))
-    everything, doubt_everything = debiased(weights)
-    return shown / max(doubt, 1e-12), max(sure, everything - 2.0 * doubt_everything)
-
-
 def _towards_points(a: Array, b: Array, phi: float, direction: float, sigma: float) -> float:
     """Return ``direction`` or its opposite: the one that puts points in front of both views."""
     # Far points vote with less weight, gross errors with no more than a good point.
@@ -372,7 +271,7 @@ def _plausible(a: Array, b: Array, phi: float, direction: float, limit: float) -
     """
     parallax = signed_parallax(a, b, phi, direction)
     usual = float(np.median(np.abs(parallax)))
-    return np.asarray((parallax > -2.0 * limit) & (parallax < max(_NEAREST * usual, 2.0 * limit)))
+    return np.asarray((parallax > -2.0 * limit) & (parallax < max(NEAREST * usual, 2.0 * limit)))
 
 
 def _too_few(count: int, agreeing: int | None = None) -> PlanarMotion:

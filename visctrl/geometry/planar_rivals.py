@@ -14,11 +14,12 @@ from robots.unicycle import wrap_angle
 from visctrl.geometry.parallax import signed_parallax
 from visctrl.geometry.planar import (
     PlanarMotion,
-    refine_planar_motion,
+    refine_motions,
     sampson_residuals,
     squared_residuals,
     two_point_motions,
 )
+from visctrl.geometry.planar_fit import RayPairs
 
 Array = NDArray[np.float64]
 
@@ -70,9 +71,11 @@ def rival_motion(
     theta, alpha = theta[far], alpha[far]
     limit2 = (_THRESHOLD_SIGMAS * sigma) ** 2
     cost = np.minimum(squared_residuals(a, b, theta, alpha), limit2).sum(axis=1)
-    for index in np.argsort(cost)[:_FINALISTS]:
-        phi = float(alpha[index] - theta[index])
-        rival = refine_planar_motion(a, b, phi, float(theta[index]), sigma)
+    starts = [
+        (float(alpha[index] - theta[index]), float(theta[index]))
+        for index in np.argsort(cost)[:_FINALISTS]
+    ]
+    for rival in refine_motions(RayPairs.of(a, b, len(starts)), starts, sigma):
         other = _apart(np.array(0.0), np.array(rival.phi), motion).all()
         if other and _as_good(a, b, rival, motion, sigma):
             return rival

@@ -1,5 +1,7 @@
 """The 1D trifocal tensor of three bearing-only views in the plane: its algebra.
 
+Products of single small matrices are written with `dot`, which takes half the time of ``@``.
+
 Views: 1 initial, 2 current, 3 target. A tensor is an array (..., 8) of its elements T_ijk in
 the order 111, 112, 121, 122, 211, 212, 221, 222; Σ T_ijk u_i v_j w_k = 0 for u, v, w the
 bearing (sin θ, cos θ) of one feature in views 1, 2, 3, θ clockwise from forward (3.1).
@@ -83,7 +85,7 @@ class Trilinear(NamedTuple):
     def within(self, basis: Array) -> Trilinear:
         """Return the relation for tensors T = basis·z, with basis (8, k)."""
         forms = self.forms
-        within = basis.T @ forms.reshape(len(forms), -1)
+        within = basis.T.dot(forms.reshape(len(forms), -1))
         return Trilinear(within.reshape(-1, *forms.shape[1:]))
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Trilinear:
@@ -103,17 +105,16 @@ class FixedViews:
 
     def __init__(self, rays_1: ArrayLike, rays_3: ArrayLike) -> None:
         (u, du), (w, dw) = directions(rays_1), directions(rays_3)
-        # (2, 2, 3, ..., N): u ⊗ w and its derivatives.
-        self._pairs = np.stack([a[:, None] * b for a, b in ((u, w), (du, w), (u, dw))], axis=2)
+        # (2, 1, 2, 4, ..., N): u ⊗ w, its derivatives, and u ⊗ w once more for that by v.
+        pairs = ((u, w), (du, w), (u, dw), (u, w))
+        self._pairs = np.stack([a[:, None] * b for a, b in pairs], axis=2)[:, None]
 
     def relation(self, rays_2: ArrayLike) -> Trilinear:
         """Return the trilinear relation with the current view's rays (..., N, 2 or 3)."""
         v, dv = directions(rays_2)
-        pairs = self._pairs
-        forms = np.empty((2, 2, 2, 4, *pairs.shape[3:]))
-        for j in (0, 1):
-            np.multiply(pairs, v[j], out=forms[:, j, :, :3])
-            np.multiply(pairs[:, :, 0], dv[j], out=forms[:, j, :, 3])
+        factors = np.empty((2, 1, 4, *v.shape[1:]))
+        factors[:, 0, :3], factors[:, 0, 3] = v[:, None], dv
+        forms = self._pairs * factors
         return Trilinear(forms.reshape(8, *forms.shape[3:]))
 
 
@@ -164,13 +165,13 @@ class Linearised(NamedTuple):
 
     def jacobian(self, relation: Trilinear) -> Array:
         """Return the derivatives (k, N) by the tensor's coordinates in ``relation``."""
-        return np.asarray(np.add.reduce(relation.forms * self.slopes, axis=1))
+        return np.asarray(np.einsum("kin,in->kn", relation.forms, self.slopes))
 
 
 def linearised(relation: Trilinear, tensor: Array) -> Linearised:
     """Return the Sampson residuals (no leading axes) of one tensor (k,), with their slopes."""
     forms = relation.forms
-    values = (tensor @ forms.reshape(len(tensor), -1)).reshape(forms.shape[1:])
+    values = tensor.dot(forms.reshape(len(tensor), -1)).reshape(forms.shape[1:])
     square = values * values
     inverse = 1.0 / np.sqrt(np.maximum(square[1] + square[2] + square[3], 1e-24))
     residual = values[0] * inverse
@@ -227,26 +228,27 @@ def tensor_from_poses(pose_1: ArrayLike, pose_2: ArrayLike) -> Array:
 def current_view_basis(view_1: ArrayLike) -> Array:
     """Return G (..., 8, 4): with view 1 known, T = G·p2 is linear in the current view."""
     view = np.asarray(view_1, dtype=np.float64)
-    return np.asarray((view @ _BY_FIRST).reshape(*view.shape[:-1], 8, 4))
+    return np.asarray(view.dot(_BY_FIRST).reshape(*view.shape[:-1], 8, 4))
 
 
 def initial_view_basis(view_2: ArrayLike) -> Array:
     """Return (..., 8, 4): with view 2 known, T is linear in the initial view's parameters."""
     view = np.asarray(view_2, dtype=np.float64)
-    return np.asarray((view @ _BY_SECOND).reshape(*view.shape[:-1], 8, 4))
+    return np.asarray(view.dot(_BY_SECOND).reshape(*view.shape[:-1], 8, 4))
 
 
 def normalised(tensor: ArrayLike) -> Array:
     """Return tensors (..., 8) over their T121, which tends to t_y1 and is never 0 in a task."""
     T = np.asarray(tensor, dtype=np.float64)
-    return np.asarray(T / T[..., T121, None])
+    return np.asarray(T / T[..., T121 : T121 + 1])
 
 
 def normalised_covariance(tensor: Array, covariance: Array) -> Array:
     """Return the first-order covariance (8, 8) of `normalised` for one tensor's covariance."""
-    ratio = tensor / tensor[T121]
+    first = float(tensor[T121])
+    ratio = tensor / first
     rows = covariance - ratio[:, None] * covariance[T121]
-    return np.asarray((rows - rows[:, T121, None] * ratio) / tensor[T121] ** 2)
+    return np.asarray((rows - rows[:, T121, None] * ratio) / first**2)
 
 
 def dynamics(
@@ -294,9 +296,9 @@ def directions(rays: ArrayLike) -> tuple[Array, Array]:
     rays = np.asarray(rays, dtype=np.float64)
     right, forward = rays[..., 0], rays[..., 1]
     inverse = 1.0 / np.sqrt(np.maximum(right * right + forward * forward, 1e-18))
-    bearing, turned = np.empty((2, *inverse.shape)), np.empty((2, *inverse.shape))
-    bearing[0] = turned[1] = right * inverse
-    bearing[1] = turned[0] = forward * inverse
-    turned[0] *= inverse
-    turned[1] *= -inverse
+    bearing, turned = np.empty((2, 2, *inverse.shape))
+    np.multiply(right, inverse, out=bearing[0])
+    np.multiply(forward, inverse, out=bearing[1])
+    np.multiply(bearing[1], inverse, out=turned[0])
+    np.multiply(bearing[0], -inverse, out=turned[1])
     return bearing, turned

@@ -8,12 +8,13 @@ z = (cos φ2, sin φ2, t_x2, t_y2) up to scale, and its three degrees of freedom
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.symmetric import inverse4
 from visctrl.geometry.trifocal import (
     Linearised,
     Trilinear,
@@ -37,8 +38,7 @@ _LEAST_SHARE = 0.03
 CONVERGED = 0.02
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """Refined coordinates of a tensor.
 
     z : (k,) of unit length.
@@ -85,27 +85,27 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
     iterations : int
         At most this many steps.
     """
-    z = start / math.sqrt(start @ start)
+    z = start / math.sqrt(start.dot(start))
     for _ in range(iterations):
         linear = linearised(relation, z)
         residual, jacobian = linear.residual, linear.jacobian(relation)
         spread = _spread(residual, sigma)
         weights, pace = _geman_mcclure(residual, spread)
         weighted = jacobian * weights
-        information = weighted @ jacobian.T
+        information = weighted.dot(jacobian.T)
         inverse = _inverse_across(information, z)
-        step = inverse @ (weighted @ residual)
-        step *= -min(pace, LONGEST_STEP / max(math.sqrt(step @ step), 1e-300))
+        step = inverse.dot(weighted.dot(residual))
+        step *= -min(pace, LONGEST_STEP / max(math.sqrt(step.dot(step)), 1e-300))
         z = z + step
-        z /= math.sqrt(z @ z)
-        if math.sqrt(max(float(step @ information @ step), 0.0)) < CONVERGED * spread:
+        z /= math.sqrt(z.dot(z))
+        if math.sqrt(max(float(information.dot(step).dot(step)), 0.0)) < CONVERGED * spread:
             break
     variance = spread**2
     return Fit(
         z,
         variance * inverse,
         information / variance,
-        Linearised(residual + step @ jacobian, linear.slopes),
+        Linearised(residual + step.dot(jacobian), linear.slopes),
         jacobian,
         weights,
         spread,
@@ -194,30 +194,32 @@ def coupling(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Arra
     view_1, view_1_jacobian : (4,), (4, m) arrays
         The initial view's parameters, and their derivatives by q.
     """
-    by_initial = initial_view_basis(fit.z) @ view_1_jacobian
+    by_initial = initial_view_basis(fit.z).dot(view_1_jacobian)
     by_q = fit.linear.jacobian(relation.within(by_initial))
     weighted = (by_q * (fit.weights / fit.spread**2)).T
-    mixed = fit.jacobian @ weighted
-    shift = -fit.covariance @ mixed
-    information = by_q @ weighted + mixed.T @ shift
-    return Coupling(by_initial, shift, information, -fit.residuals @ weighted)
+    mixed = fit.jacobian.dot(weighted)
+    shift = -fit.covariance.dot(mixed)
+    information = by_q.dot(weighted) + mixed.T.dot(shift)
+    return Coupling(by_initial, shift, information, -weighted.T.dot(fit.residuals))
 
 
 def _geman_mcclure(residual: Array, spread: float) -> tuple[Array, float]:
     """Return the kernel's weights, and how much longer than theirs Newton's step is."""
-    root = 1.0 / (1.0 + np.square(residual * (1.0 / (WIDTH * spread))))
+    scaled = residual * (1.0 / (WIDTH * spread))
+    root = 1.0 / (1.0 + scaled * scaled)
     weights = root * root
-    total = float(root @ root)
+    total = float(root.dot(root))
     # The second derivative of the cost is weights (4 root − 3) where that of the weights' own
     # least squares is weights; where residuals are as promised, the mean will do.
-    curvature = 4.0 * float(weights @ root) - 3.0 * total
+    curvature = 4.0 * float(weights.dot(root)) - 3.0 * total
     return weights, min(PACE, total / curvature) if curvature > 0.0 else PACE
 
 
 def _spread(residual: Array, sigma: float) -> float:
     """Return the robust standard deviation of the residuals, at least ``sigma``."""
-    middle = len(residual) // 2
-    return max(sigma, 1.4826 * float(np.partition(np.abs(residual), middle)[middle]))
+    size, middle = np.abs(residual), len(residual) // 2
+    size.partition(middle)
+    return max(sigma, 1.4826 * float(size[middle]))
 
 
 def _across(matrix: Array, z: Array) -> Array:
@@ -230,5 +232,11 @@ def _inverse_across(information: Array, z: Array) -> Array:
     """Return the pseudo-inverse of ``information``, whose null direction is z."""
     along = z[:, None] * z
     size = float(information.trace()) + 1e-300
-    completed = information + size * (along + TINY * np.eye(len(z)))
-    return np.asarray(np.linalg.inv(completed) - along / size)
+    completed = information + size * (along + _tiny_identity(len(z)))
+    inverse = inverse4(completed) if len(z) == 4 else np.linalg.inv(completed)
+    return np.asarray(inverse - along / size)
+
+
+@cache
+def _tiny_identity(size: int) -> Array:
+    return TINY * np.eye(size)

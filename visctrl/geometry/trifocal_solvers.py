@@ -17,9 +17,9 @@ Mask = NDArray[np.bool_]
 
 #: Median difference of two bearings due to noise alone, in standard deviations of one, and the
 #: standard deviation of that median times the root of the number of features.
-_NOISE_MEDIAN, _NOISE_MEDIAN_SD = 0.954, 1.12
+NOISE_MEDIAN, NOISE_MEDIAN_SD = 0.954, 1.12
 #: Views differ when the median is this many of its standard deviations above the noise's.
-_SIGNIFICANCE = 4.0
+SIGNIFICANCE = 4.0
 
 
 def solve_linear(relation: Trilinear) -> Array:
@@ -103,5 +103,5 @@ def identical_views(rays_a: Array, rays_b: Array, sigma: float) -> bool:
     turn = np.arctan2(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0], b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1])
     centre = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
     deviation = np.abs(np.sin(turn - centre)) * np.minimum(level_a, level_b)
-    bound = _NOISE_MEDIAN + _SIGNIFICANCE * _NOISE_MEDIAN_SD / np.sqrt(len(deviation))
+    bound = NOISE_MEDIAN + SIGNIFICANCE * NOISE_MEDIAN_SD / np.sqrt(len(deviation))
     return bool(np.median(deviation) < bound * sigma)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hal.central_camera import CentralCamera
@@ -16,6 +16,7 @@ from robots.errors import InputError
 from visctrl.plugins import Array, Context, Health, Match, Perception, Views
 
 Ids = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 class FeaturesOptions(Document):
@@ -41,8 +42,8 @@ class IdentifiedFeatures(Perception[FeaturesOptions]):
         super().__init__(options, context)
         self._camera = context.camera
         self._target = _Seen.nothing()
-        self._common = _Seen.nothing()
-        self._common_target = _Seen.nothing()
+        self._target_sigmas = np.empty(0)
+        self._fixed = _Fixed(_Seen.nothing(), _Seen.nothing(), np.empty((2, 0)))
         self._sigma = 0.0
 
     def set_target(self, frames: Sequence[Frame]) -> None:
@@ -56,88 +57,98 @@ class IdentifiedFeatures(Perception[FeaturesOptions]):
         mean /= count[:, None]
         often = 2 * count > len(features)
         noise = self.options.noise_px / np.sqrt(count[often])
-        self._target = _Seen.of(Features(names[often], mean[often]), self._camera, noise)
+        self._target, valid = _Seen.of(Features(names[often], mean[often]), self._camera)
         self._require(len(self._target.ids), "the target view shows")
         per_pixel = self._camera.bearing_per_pixel(self._target.rays)
+        self._target_sigmas = noise[valid] * per_pixel
         self._sigma = self.options.noise_px * float(np.median(per_pixel))
 
     def set_initial(self, frame: Frame) -> Match:
         """Take the features that this view and the target's have in common."""
-        initial = self._seen(frame)
+        initial, _ = _Seen.of(_features_of(frame), self._camera)
         _, in_target, here = np.intersect1d(
             self._target.ids, initial.ids, assume_unique=True, return_indices=True
         )
         self._require(len(here), "the target is not recognised from here: it shares")
-        self._common = initial.at(here)
-        self._common_target = self._target.at(in_target)
+        target = self._target.at(in_target)
+        initial = initial if len(here) == len(initial.ids) else initial.at(here)
+        sigmas = np.stack([self._target_sigmas[in_target], self._sigmas(initial.rays)])
+        self._fixed = _Fixed(target, initial, sigmas)
         return Match(
             candidates=len(here),
             inliers=len(here),
-            target_pixels=self._common_target.pixels,
-            initial_pixels=self._common.pixels,
+            target_pixels=target.pixels,
+            initial_pixels=initial.pixels,
         )
 
     def update(self, frame: Frame) -> Views:
         """Return the features that all three views show."""
-        current, target, initial = self._seen(frame), self._common_target, self._common
-        if not np.array_equal(current.ids, self._common.ids):
+        current, _ = _Seen.of(_features_of(frame), self._camera)
+        fixed = self._fixed
+        same = current.ids is fixed.initial.ids or np.array_equal(current.ids, fixed.initial.ids)
+        if not same:
             _, common, here = np.intersect1d(
-                self._common.ids, current.ids, assume_unique=True, return_indices=True
+                fixed.initial.ids, current.ids, assume_unique=True, return_indices=True
             )
-            current, target, initial = current.at(here), target.at(common), initial.at(common)
+            current, fixed = current.at(here), fixed.at(common)
         count = len(current.ids)
         lost = count < self.options.min_features
         return Views(
             ids=current.ids,
-            target=target.rays,
-            initial=initial.rays,
+            target=fixed.target.rays,
+            initial=fixed.initial.rays,
             current=current.rays,
             pixels=current.pixels,
             sigma=self._sigma,
             stamp=frame.stamp,
             health=Health.LOST if lost else Health.OK,
             reason=f"{count} features of {self.options.min_features} needed" if lost else "",
-            sigmas=np.stack([target.sigma, initial.sigma, current.sigma]),
+            sigmas=lambda: np.vstack([fixed.sigmas, self._sigmas(current.rays)]),
         )
 
-    def _seen(self, frame: Frame) -> _Seen:
-        return _Seen.of(_features_of(frame), self._camera, self.options.noise_px)
+    def _sigmas(self, rays: Array) -> Array:
+        """Return the standard deviations (N,) of the bearings of rays of one frame."""
+        return self.options.noise_px * self._camera.bearing_per_pixel(rays)
 
     def _require(self, count: int, what: str) -> None:
         if count < self.options.min_features:
             raise InputError(f"{what} {count} features, {self.options.min_features} are needed")
 
 
-class _Seen:
-    """Features of one view with their rays, those without a ray left out.
+class _Seen(NamedTuple):
+    """Features of one view with their rays, those without a ray left out."""
 
-    sigma : (N,) standard deviations of the bearings (rad).
-    """
-
-    def __init__(self, ids: Ids, pixels: Array, rays: Array, sigma: Array) -> None:
-        self.ids = ids
-        self.pixels = pixels
-        self.rays = rays
-        self.sigma = sigma
+    ids: Ids
+    pixels: Array
+    rays: Array
 
     @classmethod
     def nothing(cls) -> _Seen:
-        none = np.empty(0)
-        return cls(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)), none)
+        return cls(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3)))
 
     @classmethod
-    def of(cls, features: Features, camera: CentralCamera, noise_px: ArrayLike) -> _Seen:
+    def of(cls, features: Features, camera: CentralCamera) -> tuple[_Seen, Mask]:
+        """Return what is seen, and which features (N,) that are."""
         rays, valid = camera.robot_rays(features.pixels)
-        seen = cls(
-            features.ids,
-            features.pixels,
-            rays,
-            np.multiply(noise_px, camera.bearing_per_pixel(rays)),
-        )
-        return seen if valid.all() else seen.at(np.flatnonzero(valid))
+        seen = cls(features.ids, features.pixels, rays)
+        return (seen if valid.all() else seen.at(np.flatnonzero(valid))), valid
 
     def at(self, index: NDArray[np.intp]) -> _Seen:
-        return _Seen(self.ids[index], self.pixels[index], self.rays[index], self.sigma[index])
+        return _Seen(self.ids[index], self.pixels[index], self.rays[index])
+
+
+class _Fixed(NamedTuple):
+    """The features that target and initial view have in common.
+
+    sigmas : (2, N) standard deviations of their bearings there (rad).
+    """
+
+    target: _Seen
+    initial: _Seen
+    sigmas: Array
+
+    def at(self, index: NDArray[np.intp]) -> _Fixed:
+        return _Fixed(self.target.at(index), self.initial.at(index), self.sigmas[:, index])
 
 
 def _features_of(frame: Frame) -> Features:

@@ -7,9 +7,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
-
-import numpy as np
+from typing import Any
 
 from hal.errors import BaseFaultError
 from hal.interfaces import Backend
@@ -20,13 +18,14 @@ from visctrl.plugins import (
     Decision,
     Estimate,
     Estimator,
-    Health,
+    Obstacle,
+    ObstacleProvider,
     Perception,
     Plugin,
     Views,
 )
 from visctrl.runtime.consistency import NAME as CONSISTENCY
-from visctrl.runtime.consistency import Consistency
+from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
@@ -34,7 +33,8 @@ from visctrl.runtime.scheduler import Tick, Ticker, prompt_threads
 from visctrl.runtime.stop import StopRequest
 from visctrl.runtime.watchdog import Watchdog
 
-T = TypeVar("T")
+#: Plugins with their names.
+Reporting = tuple[tuple[str, Plugin[Any]], ...]
 
 
 class PluginError(VisctrlError):
@@ -55,6 +55,7 @@ class Stage:
     """A part of a run with its own estimator and controller.
 
     duration : longest time it may take (s).
+    obstacles : obstacle providers by name.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Stage:
     estimator_name: str
     controller_name: str
     duration: float
+    obstacles: Mapping[str, ObstacleProvider[Any, Any]] = field(default_factory=dict)
 
 
 @dataclass
@@ -153,7 +155,7 @@ class Loop:
         self._consistency.prepare(stage.estimator)
         ticker = Ticker(self._backend.clock, self._period)
         self._guard.begin(ticker.origin)
-        turn = _Turn(stage)
+        turn = _Turn(stage, self._reporting(stage))
         for observer in self._observers:
             observer.on_stage(stage.name)
         while True:
@@ -243,17 +245,18 @@ class Loop:
         """Return what perception sees, or nothing where the frame is too old to be the present."""
         problem = self._guard.frame_problem(frame, self._backend.clock.now())
         if problem:
-            return nothing_seen(frame, problem)
-        return self._call(
-            f"perception '{self._perception_name}'", lambda: self._perception.update(frame)
-        )
+            return Views.nothing(frame.stamp, problem)
+        try:
+            return self._perception.update(frame)
+        except Exception as error:
+            raise PluginError(f"perception '{self._perception_name}'", error) from error
 
     def _estimate(self, views: Views, turn: _Turn, tick: Tick) -> Estimate:
         stage = turn.stage
-        estimate = self._call(
-            f"estimator '{stage.estimator_name}'",
-            lambda: stage.estimator.update(views, turn.sent, tick.dt),
-        )
+        try:
+            estimate = stage.estimator.update(views, turn.sent, tick.dt)
+        except Exception as error:
+            raise PluginError(f"estimator '{stage.estimator_name}'", error) from error
         if not isinstance(estimate, stage.controller.accepts):
             raise InputError(
                 f"estimator '{stage.estimator_name}' gives {type(estimate).__name__}, controller "
@@ -273,12 +276,23 @@ class Loop:
             turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
             turn.decision = Decision(STANDSTILL, turn.decision.phase)
             return
-        if stage.controller.listens:
-            stage.controller.sense(self._backend.base.ranges())
-        turn.decision = self._call(
-            f"controller '{stage.controller_name}'",
-            lambda: stage.controller.update(estimate, turn.control_time),
-        )
+        if stage.obstacles:
+            stage.controller.sense(self._obstacles(stage, estimate, now))
+        try:
+            turn.decision = stage.controller.update(estimate, turn.control_time)
+        except Exception as error:
+            raise PluginError(f"controller '{stage.controller_name}'", error) from error
+
+    def _obstacles(self, stage: Stage, estimate: Estimate, now: float) -> list[Obstacle]:
+        """Ask the obstacle providers."""
+        found: list[Obstacle] = []
+        for name, provider in stage.obstacles.items():
+            ranges = self._backend.base.ranges() if provider.listens else ()
+            try:
+                found += provider.update(estimate, ranges, now)
+            except Exception as error:
+                raise PluginError(f"obstacle provider '{name}'", error) from error
+        return found
 
     def _command(self, frame: Frame, turn: _Turn) -> None:
         now = self._backend.clock.now()
@@ -308,27 +322,32 @@ class Loop:
     def _signals(
         self, turn: _Turn, estimate: Estimate, truth: Pose | None
     ) -> tuple[tuple[str, Mapping[str, float]], ...]:
-        plugins: tuple[tuple[str, Plugin[Any]], ...] = (
-            (self._perception_name, self._perception),
-            (turn.stage.estimator_name, turn.stage.estimator),
-            (turn.stage.controller_name, turn.stage.controller),
-        )
-        found = [(name, dict(plugin.values())) for name, plugin in plugins if plugin.signals]
+        """Return what the plugins report of this tick, as far as anybody reads it."""
+        found = [(name, dict(plugin.values())) for name, plugin in turn.reporting]
         reported = dict(found).get(turn.stage.estimator_name, {})
         if judged := self._consistency.values(estimate, truth, reported):
             found.append((CONSISTENCY, judged))
         return tuple(found)
 
-    def _call(self, who: str, work: Callable[[], T]) -> T:
-        try:
-            return work()
-        except Exception as error:
-            raise PluginError(who, error) from error
+    def _reporting(self, stage: Stage) -> Reporting:
+        """Return the plugins of a stage whose signals somebody reads, with their names."""
+        everybody: Reporting = (
+            (self._perception_name, self._perception),
+            (stage.estimator_name, stage.estimator),
+            (stage.controller_name, stage.controller),
+            *stage.obstacles.items(),
+        )
+        read = everybody if any(observer.reads_signals for observer in self._observers) else ()
+        if not read and gives_pose(stage.estimator):
+            # Its consistency is always judged, by what it says of itself too.
+            read = everybody[1:2]
+        return tuple((name, plugin) for name, plugin in read if plugin.signals)
 
 
 class _Turn:
     """What one stage remembers from tick to tick.
 
+    reporting : the plugins whose signals are read.
     sent : velocity that the base was last told.
     held : the robot is kept at a standstill for want of features.
     control_time : the controller's time (s): that of the stage without the time held.
@@ -336,8 +355,9 @@ class _Turn:
     seconds : duration of the tick's parts so far.
     """
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, stage: Stage, reporting: Reporting) -> None:
         self.stage = stage
+        self.reporting = reporting
         self.sent: Velocity = STANDSTILL
         self.decision = Decision()
         self.held = False
@@ -361,19 +381,3 @@ class _Turn:
     def slowest(self) -> str:
         """Return the part of the tick that took longest."""
         return STAGES[max(range(len(self.seconds)), key=self.seconds.__getitem__)]
-
-
-def nothing_seen(frame: Frame, reason: str) -> Views:
-    """Return the views of a frame that must not be used."""
-    nothing = np.empty((0, 3))
-    return Views(
-        ids=np.empty(0, dtype=np.int64),
-        target=nothing,
-        initial=nothing,
-        current=nothing,
-        pixels=np.empty((0, 2)),
-        sigma=0.0,
-        stamp=frame.stamp,
-        health=Health.LOST,
-        reason=reason,
-    )

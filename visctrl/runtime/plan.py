@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -15,7 +15,7 @@ from robots.documents import Document, validate
 from robots.errors import InputError
 from robots.model import Mount
 from visctrl.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
-from visctrl.plugins import Context, Controller, Estimator, Perception
+from visctrl.plugins import Context, Controller, Estimator, ObstacleProvider, Perception
 from visctrl.runtime.registry import (
     REGISTRIES,
     Registries,
@@ -56,10 +56,11 @@ class Chosen(Generic[T]):
 
 @dataclass(frozen=True)
 class StagePlan:
-    """Estimator and controller of one stage of a run."""
+    """Estimator and controller of one stage of a run, and what tells it of obstacles."""
 
     estimator: Chosen[Estimator[Any, Any]]
     controller: Chosen[Controller[Any, Any]]
+    obstacles: tuple[Chosen[ObstacleProvider[Any, Any]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,7 @@ class Plan:
             period_s=self.period_s,
             seed=self.scenario.seed,
             lockstep=lockstep,
+            body=self.robot.body,
         )
 
     def effective(self) -> dict[str, Any]:
@@ -130,6 +132,7 @@ class Plan:
         data["perception"] = self.perception.effective()
         data["estimator"] = self.main.estimator.effective()
         data["controller"] = self.main.controller.effective()
+        data["obstacles"] = [chosen.effective() for chosen in self.main.obstacles]
         if self.approach is not None:
             data["approach"]["estimator"] = self.approach.estimator.effective()
             data["approach"]["controller"] = self.approach.controller.effective()
@@ -163,6 +166,9 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
             f"'{scenario.backend}' takes no pictures"
         )
     perception, approach, main = _plugins(loaded, registries, scheme, backend)
+    main = replace(main, obstacles=_providers(loaded, registries, main))
+    if not backend.measures_ranges(robot, backend_options):
+        _refuse_listeners(loaded, main)
     return Plan(
         scenario=scenario,
         backend=backend,
@@ -232,6 +238,43 @@ def _stage(
             "plugins of one scheme"
         )
     return StagePlan(estimator, controller)
+
+
+def _providers(
+    loaded: LoadedScenario, registries: Registries, main: StagePlan
+) -> tuple[Chosen[ObstacleProvider[Any, Any]], ...]:
+    """Choose what tells the main stage of obstacles, and check that it fits its other plugins."""
+    chosen: list[Chosen[ObstacleProvider[Any, Any]]] = []
+    for number, choice in enumerate(loaded.scenario.obstacles):
+        path = ("obstacles", str(number))
+        provider = choose(loaded, registries.obstacles, choice, choice.name, path)
+        where = f"{loaded.origin_of(*path)}: {'.'.join(path)}: {provider.kind} '{provider.name}'"
+        given, accepted = estimate_type(main.estimator.cls), provider.cls.accepts
+        if given is not None and not issubclass(given, accepted):
+            raise InputError(
+                f"{where} needs {accepted.__name__}, estimator '{main.estimator.name}' gives "
+                f"{given.__name__}: choose a scheme that estimates it, such as 'pose'"
+            )
+        if not main.controller.cls.avoids:
+            raise InputError(
+                f"{where}: controller '{main.controller.name}' does not avoid obstacles: choose "
+                "one that does, such as 'pose-tracking' of the scheme 'pose'"
+            )
+        if provider.name in (other.name for other in chosen):
+            raise InputError(f"{where} is named twice: put all its options in one entry")
+        chosen.append(provider)
+    return tuple(chosen)
+
+
+def _refuse_listeners(loaded: LoadedScenario, main: StagePlan) -> None:
+    for number, provider in enumerate(main.obstacles):
+        if provider.cls.listens:
+            path = ("obstacles", str(number))
+            raise InputError(
+                f"{loaded.origin_of(*path)}: {'.'.join(path)}: {provider.kind} '{provider.name}' "
+                f"needs range sensors: robot '{loaded.scenario.robot}' on backend "
+                f"'{loaded.scenario.backend}' has none, or they are switched off"
+            )
 
 
 def choose(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from hal.central_camera import CentralCamera
 from hal.types import Frame, Odometry, Pose, Velocity
@@ -40,8 +39,7 @@ class Setup(Protocol):
         """The camera's calibration."""
 
 
-@dataclass(frozen=True, slots=True)
-class TickRecord:
+class TickRecord(NamedTuple):
     """One tick.
 
     number : ticks since the run began, approach included.
@@ -50,7 +48,7 @@ class TickRecord:
     truth : true pose of the camera in the target's frame, None where unknown.
     event : what safety did, empty if nothing.
     blame : part of the previous tick that made this one miss deadlines, empty if none.
-    signals : every plugin's own numbers, by plugin role.
+    signals : every plugin's own numbers, by plugin name, where an observer reads them.
     seconds : duration of the parts in `STAGES`; the last is not known yet and left out.
     """
 
@@ -77,6 +75,9 @@ class Observer:
 
     The default is to ignore everything.
     """
+
+    #: Whether it reads `TickRecord.signals`: what nobody reads is not collected.
+    reads_signals: ClassVar[bool] = True
 
     def on_message(self, text: str) -> None:
         """Hear that something begins which takes a while."""

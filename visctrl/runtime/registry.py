@@ -1,7 +1,8 @@
 """Names to classes, imported when they are used and not before.
 
 A name comes from the tables below or from an entry point of an installed package, in the group
-``visctrl.perception``, ``visctrl.estimators``, ``visctrl.controllers`` or ``visctrl.backends``.
+``visctrl.perception``, ``visctrl.estimators``, ``visctrl.controllers``, ``visctrl.obstacles`` or
+``visctrl.backends``.
 ``module:Class`` names a class directly; the module may also lie in the current folder.
 """
 
@@ -21,7 +22,7 @@ from typing import Any, Generic, TypeVar, cast
 from hal.interfaces import Backend
 from robots.documents import Document, suggestion
 from robots.errors import InputError
-from visctrl.plugins import Controller, Estimate, Estimator, Perception
+from visctrl.plugins import Controller, Estimate, Estimator, ObstacleProvider, Perception
 
 T = TypeVar("T")
 
@@ -129,7 +130,7 @@ def estimate_type(estimator: type[Estimator[Any, Any]]) -> type[Estimate] | None
 
 @dataclass(frozen=True)
 class Registries:
-    """All four registries."""
+    """All registries."""
 
     perception: Registry[Perception[Any]] = field(
         default_factory=lambda: Registry(
@@ -171,6 +172,17 @@ class Registries:
                 "epipolar-smc": "visctrl.control.epipolar_smc:EpipolarSmc",
                 "epipolar-smooth": "visctrl.control.epipolar_smooth:EpipolarSmooth",
                 "pose-tracking": "visctrl.control.pose_tracking:PoseTracking",
+            },
+        )
+    )
+    obstacles: Registry[ObstacleProvider[Any, Any]] = field(
+        default_factory=lambda: Registry(
+            "obstacle provider",
+            "visctrl.obstacles",
+            ObstacleProvider,
+            {
+                "listed": "visctrl.obstacles.listed:Listed",
+                "sonar": "visctrl.obstacles.sonar:Sonar",
             },
         )
     )

@@ -15,9 +15,9 @@ from robots import Robot, load_robot
 from robots.errors import InputError, VisctrlError
 from robots.model import Mount
 from visctrl.config import LoadedScenario, Override, Scenario, load_scenario, to_yaml
-from visctrl.plugins import Context, Decision, Estimator, Perception, Plugin
+from visctrl.plugins import Context, Decision, Estimator, Perception, Plugin, Views
 from visctrl.runtime.images import INITIAL
-from visctrl.runtime.loop import PluginError, nothing_seen
+from visctrl.runtime.loop import PluginError
 from visctrl.runtime.pictures import Pictures
 from visctrl.runtime.plan import Chosen, choose, chosen_camera
 from visctrl.runtime.recorder import CONFIG, Recorder, RunDirectory
@@ -108,6 +108,7 @@ def plan_replay(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> 
         period_s=1.0 / scenario.rate_hz,
         seed=scenario.seed,
         lockstep=True,
+        body=robot.body,
     )
     kinds = registries.estimators
     main = choose(loaded, kinds, scenario.estimator, scheme.estimator, ("estimator",))
@@ -238,7 +239,7 @@ class _Replay:
         dt = self._since_last(driven)
         began = time.perf_counter()
         if shot.age > self._plan.scenario.safety.max_frame_age_s:
-            views = nothing_seen(frame, f"frame is {shot.age:.2f} s old")
+            views = Views.nothing(frame.stamp, f"frame is {shot.age:.2f} s old")
         else:
             views = self._call(self._perceiver, lambda: self._perception.update(frame))
         seen = time.perf_counter()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated
 
 from pydantic import Field
 
+from hal.actuation import towards
 from hal.errors import StaleFrameError
 from hal.types import STANDSTILL, Frame, Velocity
 from robots import Limits, Robot
@@ -51,13 +51,18 @@ class UnsafeCommandError(VisctrlError):
 def effective_limits(robot: Robot, options: SafetyOptions, origin: str) -> Limits:
     """Return the robot's operating limits with those of ``options`` in their place.
 
+    A wheel is as fast as the robot at its top speed straight ahead.
+
     Raises
     ------
     InputError
         One is above what the robot's hardware can do.
     """
-    changes: dict[str, float] = {}
-    for name in Limits.model_fields:
+    changes = {
+        "wheel_m_s": robot.hardware.v_m_s,
+        "track_m": robot.wheels.effective_track_m,
+    }
+    for name in ("v_m_s", "omega_deg_s", "acceleration_m_s2", "angular_acceleration_deg_s2"):
         wanted = getattr(options, name)
         if wanted is None:
             continue
@@ -159,12 +164,11 @@ class Guard:
         limits = self._limits
         if limits is None:
             return wanted
-        omega_max = limits.omega_rad_s
-        excess = max(1.0, abs(wanted.v) / limits.v_m_s, abs(wanted.omega) / omega_max)
+        excess = max(1.0, limits.ratio(*wanted))
         dt = self._period if self._sent_at is None else now - self._sent_at
         return Velocity(
-            _ramped(self._sent.v, wanted.v / excess, limits.acceleration_m_s2 * dt),
-            _ramped(
+            towards(self._sent.v, wanted.v / excess, limits.acceleration_m_s2 * dt),
+            towards(
                 self._sent.omega, wanted.omega / excess, limits.angular_acceleration_rad_s2 * dt
             ),
         )
@@ -181,7 +185,3 @@ class Guard:
             and self._sent != STANDSTILL
             and now - self._sent_at > self._options.max_command_age_s
         )
-
-
-def _ramped(value: float, goal: float, step: float) -> float:
-    return goal if abs(goal - value) <= step else value + math.copysign(step, goal - value)

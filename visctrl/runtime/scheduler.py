@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from hal.interfaces import Clock
 
@@ -16,8 +16,7 @@ GRACE = 0.1
 _SWITCH_S = 0.0005
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
+class Tick(NamedTuple):
     """One turn of the loop.
 
     start : when it started (s on the clock).

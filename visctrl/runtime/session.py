@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,7 +34,7 @@ T = TypeVar("T")
 
 _KEYBOARD_INTERRUPT = 130
 #: Slower than this, the robot stands (m/s, rad/s).
-_STANDING = (1e-3, 2e-3)
+STANDING = (1e-3, 2e-3)
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,10 @@ class _Session:
         if plan.approach is not None:
             timeout = scenario.approach.timeout_s
             stages.insert(0, self._stage("approach", plan.approach, context, timeout))
+        for stage in stages:
+            for name, provider in stage.obstacles.items():
+                expected = _call(f"obstacle provider '{name}'", provider.expected)
+                stage.controller.expect(expected)
         self._take_target(backend, perception)
         self._take_initial(backend, perception)
         self._start_recording(stages, perception, backend.clock.lockstep)
@@ -213,6 +218,7 @@ class _Session:
             plan.estimator.name,
             plan.controller.name,
             duration,
+            {each.name: self._build(each, context) for each in plan.obstacles},
         )
 
     def _build(self, chosen: Chosen[T], context: Context) -> T:
@@ -234,6 +240,7 @@ class _Session:
         for stage in stages:
             named.append((stage.estimator_name, stage.estimator))
             named.append((stage.controller_name, stage.controller))
+            named.extend(stage.obstacles.items())
         if any(gives_pose(stage.estimator) for stage in stages):
             named.append((CONSISTENCY, Consistency()))
         if self._images is not None:
@@ -278,7 +285,7 @@ class _Session:
         while standing < 2 and clock.now() < deadline:
             clock.sleep_until(clock.now() + period)
             velocity = backend.base.odometry().velocity
-            still = abs(velocity.v) < _STANDING[0] and abs(velocity.omega) < _STANDING[1]
+            still = abs(velocity.v) < STANDING[0] and abs(velocity.omega) < STANDING[1]
             standing = standing + 1 if still else 0
 
     def _stop(self, backend: Backend) -> None:
@@ -288,7 +295,14 @@ class _Session:
             self._took = (backend.clock.now() - clock_began, time.perf_counter() - wall_began)
         self._attempt("the base could not be stopped", backend.base.stop)
         for plugin in self._plugins:
-            self._attempt(f"{type(plugin).__name__} could not be closed", plugin.close)
+            name = type(plugin).__name__
+            self._attempt(
+                f"{name} could not say what there is to know", partial(self._hear, plugin)
+            )
+            self._attempt(f"{name} could not be closed", plugin.close)
+
+    def _hear(self, plugin: Plugin[Any]) -> None:
+        self._notes += plugin.notes()
 
     def _attempt(self, failure: str, work: Callable[[], None]) -> None:
         try:

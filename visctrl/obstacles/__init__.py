@@ -1,0 +1,1 @@
+"""Obstacle providers: what tells a controller of what stands in the way."""
