@@ -90,5 +90,6 @@ def shift(previous: Picture, current: Picture, canvas: Canvas) -> float:
     left, peak, right = likeness[[best - 1, best, (best + 1) % columns]].tolist()
     if peak < _CLEAR_PEAK:
         return 0.0
-    across = float(best + 0.5 * (left - right) / (left - 2.0 * peak + right))
-    return canvas.shrink * canvas.coarseness * (across - columns * round(across / columns))
+    across = best + 0.5 * (left - right) / (left - 2.0 * peak + right)
+    across -= columns * round(across / columns)
+    return float(canvas.shrink * canvas.coarseness * across)
