@@ -28,7 +28,7 @@ class Candidates:
     """Candidate solutions.
 
     common : (S, 3 + F), each (β, φ1, q, ψ of all frames).
-    errors : (S, N, 2), of the features' bearings in the initial and the target view.
+    errors : (S, 2, N), of the features' bearings in the initial and the target view.
     """
 
     common: Array
@@ -39,19 +39,21 @@ class Candidates:
         """Return candidates from (S, 3), without turns or errors."""
         common = np.zeros((len(base), BASE + len(leg.motion)))
         common[:, :BASE] = base
-        return cls(common, np.zeros((len(base), len(leg.theta1), 2)))
+        return cls(common, np.zeros((len(base), 2, len(leg.theta1))))
 
-    def take(self, index: int) -> Candidates:
-        """Return one of them."""
-        return Candidates(self.common[[index]], self.errors[[index]])
+    def take(self, index: NDArray[np.intp]) -> Candidates:
+        """Return some of them."""
+        return Candidates(self.common[index], self.errors[index])
 
 
 @dataclass(frozen=True)
 class Normal:
     """Normal equations in arrow shape, and the cost.
 
-    cost : (S,). common : (S, C, C). cross : (S, N, C, 2). feature : (S, N, 2, 2).
-    common_rhs : (S, C). feature_rhs : (S, N, 2).
+    The features' part is a symmetric 2 × 2 block each: (a, b; b, c).
+
+    cost : (S,). common : (S, C, C). cross : (S, 2, N, C). feature : (S, 3, N), a, b and c.
+    common_rhs : (S, C). feature_rhs : (S, 2, N).
     """
 
     cost: Array
@@ -63,53 +65,57 @@ class Normal:
 
 
 def residuals(leg: Leg, at: Candidates) -> tuple[Array, Array, Array]:
-    """Return normalised residuals (S, F, N), and ∂ by (β, φ1, q) (…, 3) and by errors (…, 2).
+    """Return normalised residuals (S, F, N), and ∂ by (β, φ1, q) (3, …) and by errors (2, …).
 
     The derivative by the frame's own turn ψ is 1/σ.
     """
-    transfer, by_initial, by_current = _predict(leg, at)
+    transfer, common = _predict(leg, at)
     sigma = _sigma(leg)
     residual = wrap_half_turn(leg.theta2 - transfer.bearing) / sigma
     residual = np.where(np.isfinite(residual), residual, 0.0)
-    common = transfer.by_initial @ by_initial[:, None] + transfer.by_current @ by_current
-    return residual, common / sigma[..., None], -transfer.by_bearings / sigma[..., None]
+    return residual, common / sigma, -transfer.by_bearings / sigma
 
 
 def normal_equations(leg: Leg, at: Candidates, weight: Array) -> Normal:
     """Return the normal equations with Huber's weights times ``weight`` (S, F, N)."""
     residual, base, errors = residuals(leg, at)
-    pull = weight * np.minimum(1.0, HUBER / np.maximum(np.abs(residual), 1e-12))
-    turn = pull / _sigma(leg)
-    weighted_base, weighted_errors = pull[..., None] * base, pull[..., None] * errors
+    size = np.abs(residual)
+    pull = weight * np.minimum(1.0, HUBER / np.maximum(size, 1e-12))
+    inverse = 1.0 / _sigma(leg)
+    turn = pull * inverse
+    pulled_base, pulled_errors = pull * base, pull * errors
     smooth = _turn_information(leg)
     psi = at.common[:, BASE:]
-    candidates, features = residual.shape[0], residual.shape[2]
-    frames = len(leg.motion)
-    size = BASE + frames
+    candidates, frames, features = residual.shape
 
-    common = np.zeros((candidates, size, size))
-    common[:, :BASE, :BASE] = np.einsum("sfni,sfnj->sij", weighted_base, base)
-    common[:, :BASE, BASE:] = np.einsum("sfn,sfni->sif", turn, base)
+    common = np.zeros((candidates, BASE + frames, BASE + frames))
+    flat = np.moveaxis(base, 0, 1).reshape(candidates, BASE, -1)
+    pulled_flat = np.moveaxis(pulled_base, 0, 1).reshape(candidates, BASE, -1)
+    common[:, :BASE, :BASE] = pulled_flat @ np.swapaxes(flat, 1, 2)
+    common[:, :BASE, BASE:] = np.moveaxis(np.sum(pulled_base * inverse, axis=3), 0, 1)
     common[:, BASE:, :BASE] = np.swapaxes(common[:, :BASE, BASE:], 1, 2)
-    own = np.sum(turn / _sigma(leg), axis=2)
+    own = np.sum(turn * inverse, axis=2)
     common[:, BASE:, BASE:] = smooth + own[:, :, None] * np.eye(frames)
-    cross = np.empty((candidates, features, size, 2))
-    cross[:, :, :BASE] = np.einsum("sfni,sfnj->snij", weighted_base, errors)
-    cross[:, :, BASE:] = np.swapaxes(turn[..., None] * errors, 1, 2)
-    feature = np.einsum("sfni,sfnj->snij", weighted_errors, errors)
-    feature[..., 0, 0] += 1.0 / leg.sigma1**2
-    feature[..., 1, 1] += 1.0 / leg.sigma3**2
+    cross = np.empty((candidates, 2, features, BASE + frames))
+    for k in range(2):
+        for i in range(BASE):
+            cross[:, k, :, i] = np.sum(pulled_base[i] * errors[k], axis=1)
+        cross[:, k, :, BASE:] = np.swapaxes(turn * errors[k], 1, 2)
+    information = np.stack([leg.sigma1, leg.sigma3]) ** -2
+    feature = np.empty((candidates, 3, features))
+    feature[:, 0] = np.sum(pulled_errors[0] * errors[0], axis=1) + information[0]
+    feature[:, 1] = np.sum(pulled_errors[0] * errors[1], axis=1)
+    feature[:, 2] = np.sum(pulled_errors[1] * errors[1], axis=1) + information[1]
 
-    common_rhs = np.empty((candidates, size))
-    common_rhs[:, :BASE] = np.einsum("sfni,sfn->si", weighted_base, residual)
+    common_rhs = np.empty((candidates, BASE + frames))
+    common_rhs[:, :BASE] = (pulled_flat @ residual.reshape(candidates, -1, 1))[..., 0]
     common_rhs[:, BASE:] = np.sum(turn * residual, axis=2) - psi @ smooth
-    feature_rhs = np.einsum("sfni,sfn->sni", weighted_errors, residual)
-    feature_rhs[..., 0] -= at.errors[..., 0] / leg.sigma1**2
-    feature_rhs[..., 1] -= at.errors[..., 1] / leg.sigma3**2
+    feature_rhs = np.moveaxis(np.sum(pulled_errors * residual, axis=2), 0, 1)
+    feature_rhs = feature_rhs - at.errors * information
 
-    prior = (at.errors[..., 0] / leg.sigma1) ** 2 + (at.errors[..., 1] / leg.sigma3) ** 2
-    cost = _huber(residual, weight) + 0.5 * np.sum(prior, axis=1)
-    cost += 0.5 * np.einsum("sf,fg,sg->s", psi, smooth, psi)
+    loss = np.where(size < HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER))
+    cost = np.sum(loss * weight, axis=(1, 2)) + 0.5 * np.sum(psi @ smooth * psi, axis=1)
+    cost += 0.5 * np.sum(at.errors**2 * information, axis=(1, 2))
     return Normal(cost, common, cross, feature, common_rhs, feature_rhs)
 
 
@@ -149,32 +155,44 @@ def covariance(normal: Normal, keep: NDArray[np.intp]) -> Array:
     (K + 2N, K + 2N) array
         In the order: those, all errors in the initial view, all errors in the target view.
     """
-    common, cross, feature = normal.common[0], normal.cross[0], normal.feature[0]
-    n, k = len(feature), len(keep)
-    gain = np.linalg.solve(feature, np.swapaxes(cross, -1, -2))
-    reduced = common - np.tensordot(cross, gain, axes=([0, 2], [0, 1]))
+    cross, (a, b, c) = normal.cross[0], normal.feature[0]
+    n, k = len(a), len(keep)
+    gain = _gain(normal.cross, normal.feature)[0].reshape(2 * n, -1)
+    reduced = normal.common[0] - cross.reshape(2 * n, -1).T @ gain
     scale = np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     balanced = reduced / np.outer(scale, scale)
     if np.linalg.eigvalsh(balanced)[0] < 1e-12:
         return np.full((k + 2 * n, k + 2 * n), np.inf)
     core = np.linalg.inv(balanced) / np.outer(scale, scale)
-    stacked = np.concatenate([gain[:, 0], gain[:, 1]])
     P = np.empty((k + 2 * n, k + 2 * n))
     P[:k, :k] = core[np.ix_(keep, keep)]
-    P[k:, :k] = -stacked @ core[:, keep]
+    P[k:, :k] = -gain @ core[:, keep]
     P[:k, k:] = P[k:, :k].T
-    P[k:, k:] = stacked @ core @ stacked.T
-    own = np.linalg.inv(feature)
+    P[k:, k:] = gain @ core @ gain.T
     first, second = k + np.arange(n), k + n + np.arange(n)
-    P[first, first] += own[:, 0, 0]
-    P[first, second] += own[:, 0, 1]
-    P[second, first] += own[:, 1, 0]
-    P[second, second] += own[:, 1, 1]
+    determinant = a * c - b * b
+    P[first, first] += c / determinant
+    P[second, second] += a / determinant
+    P[first, second] -= b / determinant
+    P[second, first] -= b / determinant
     return P
 
 
-def _predict(leg: Leg, at: Candidates) -> tuple[Transfer, Array, Array]:
-    """Return the bearings (S, F, N), and ∂C1 (S, 3, 3), ∂C2 (S, F, 3, 3) by (β, φ1, q)."""
+def _gain(cross: Array, feature: Array) -> Array:
+    """Return the features' own blocks inverted times what couples them to the common part.
+
+    cross : (S, 2, N, …). feature : (S, 3, N).
+    """
+    a, b, c = (
+        feature[:, k].reshape(*feature[:, k].shape, *[1] * (cross.ndim - 3)) for k in range(3)
+    )
+    inverse = 1.0 / (a * c - b * b)
+    first, third = cross[:, 0], cross[:, 1]
+    return np.stack([(c * first - b * third) * inverse, (a * third - b * first) * inverse], axis=1)
+
+
+def _predict(leg: Leg, at: Candidates) -> tuple[Transfer, Array]:
+    """Return the bearings (S, F, N), and their derivatives (3, S, F, N) by (β, φ1, q)."""
     beta, phi, q = (at.common[:, k] for k in range(BASE))
     sb, cb, sp, cp = np.sin(beta), np.cos(beta), np.sin(phi)[:, None], np.cos(phi)[:, None]
     initial = np.stack([sb, -cb, phi], axis=-1)
@@ -183,21 +201,19 @@ def _predict(leg: Leg, at: Candidates) -> tuple[Transfer, Array, Array]:
     current = np.empty((*forth.shape[:2], 3))
     current[..., :2] = initial[:, None, :2] + q[:, None, None] * forth
     current[..., 2] = phi[:, None] + turn + at.common[:, BASE:]
-    by_initial = np.zeros((len(q), 3, 3))
-    by_initial[:, 0, 0], by_initial[:, 1, 0], by_initial[:, 2, 1] = cb, sb, 1.0
-    by_current = np.zeros((*current.shape, 3))
-    by_current[..., 0, 0], by_current[..., 1, 0] = cb[:, None], sb[:, None]
-    by_current[..., 0, 1] = -q[:, None] * forth[..., 1]
-    by_current[..., 1, 1] = q[:, None] * forth[..., 0]
-    by_current[..., 2, 1] = 1.0
-    by_current[..., :2, 2] = forth
     transfer = transfer_bearing(
         initial[:, None, None, :],
         current[:, :, None, :],
-        (leg.theta1 - at.errors[..., 0])[:, None, :],
-        (leg.theta3 - at.errors[..., 1])[:, None, :],
+        (leg.theta1 - at.errors[:, 0])[:, None, :],
+        (leg.theta3 - at.errors[:, 1])[:, None, :],
     )
-    return transfer, by_initial, by_current
+    x1, y1, phi1, x2, y2 = transfer.slopes[:5]
+    x, y = forth[..., 0][..., None], forth[..., 1][..., None]
+    by_common = np.empty((BASE, *x2.shape))
+    by_common[0] = cb[:, None, None] * (x1 + x2) + sb[:, None, None] * (y1 + y2)
+    by_common[1] = phi1 + 1.0 + q[:, None, None] * (x * y2 - y * x2)
+    by_common[2] = x * x2 + y * y2
+    return transfer, by_common
 
 
 def _sigma(leg: Leg) -> Array:
@@ -213,26 +229,22 @@ def _turn_information(leg: Leg) -> Array:
     return np.diag(inverse + following) - np.diag(inverse[1:], 1) - np.diag(inverse[1:], -1)
 
 
-def _huber(residual: Array, weight: Array) -> Array:
-    size = np.abs(residual)
-    loss = np.where(size < HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER))
-    return np.asarray(np.sum(loss * weight, axis=(1, 2)), dtype=np.float64)
-
-
 def _step(normal: Normal, damping: Array) -> tuple[Array, Array]:
-    """Return the damped Gauss–Newton step of the common part (S, C) and the errors (S, N, 2)."""
+    """Return the damped Gauss–Newton step of the common part (S, C) and the errors (S, 2, N)."""
     scale = 1.0 + damping[:, None, None]
-    size = normal.common.shape[-1]
-    feature = normal.feature * np.where(np.eye(2, dtype=bool), scale[..., None], 1.0)
+    candidates, size = normal.common_rhs.shape
+    feature = normal.feature.copy()
+    feature[:, ::2] *= scale
     common = normal.common * np.where(np.eye(size, dtype=bool), scale, 1.0) + 1e-12 * np.eye(size)
-    gain = np.linalg.solve(feature, np.swapaxes(normal.cross, -1, -2))
+    gain = _gain(normal.cross, feature)
     # Σ over features and their two errors, as one matrix product per candidate.
-    left = np.swapaxes(normal.cross, 1, 2).reshape(len(common), size, -1)
-    reduced = common - left @ gain.reshape(len(common), -1, size)
-    rhs = normal.common_rhs - np.einsum("snji,snj->si", gain, normal.feature_rhs)
-    step = np.linalg.solve(reduced, rhs[..., None])[..., 0]
-    own = np.linalg.solve(feature, normal.feature_rhs[..., None])[..., 0]
-    return step, own - np.einsum("snij,sj->sni", gain, step)
+    left = normal.cross.reshape(candidates, -1, size)
+    flat = gain.reshape(candidates, -1, size)
+    reduced = common - np.swapaxes(left, 1, 2) @ flat
+    own = _gain(normal.feature_rhs, feature)
+    rhs = normal.common_rhs - (normal.feature_rhs.reshape(candidates, 1, -1) @ flat)[:, 0]
+    step = np.asarray(np.linalg.solve(reduced, rhs[..., None])[..., 0], dtype=np.float64)
+    return step, own - (flat @ step[..., None]).reshape(own.shape)
 
 
 def _choose(which: Mask, a: Array, b: Array) -> Array:

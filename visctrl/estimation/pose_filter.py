@@ -76,7 +76,7 @@ class Innovation:
 class _Slopes:
     """The measurements' Jacobian H (M, 6 + 2N), of which eight numbers in a row are not zero.
 
-    core : (M, 6) by what all features share. own : (2, M) by the feature's own two errors, whose
+    core : (6, M) by what all features share. own : (2, M) by the feature's own two errors, whose
     columns are first and third : (M,).
     """
 
@@ -89,23 +89,25 @@ class _Slopes:
         """Return some of the rows."""
         if len(rows) == len(self.first):
             return self
-        return _Slopes(self.core[rows], self.own[:, rows], self.first[rows], self.third[rows])
+        return _Slopes(self.core[:, rows], self.own[:, rows], self.first[rows], self.third[rows])
 
     def times(self, right: Array) -> Array:
         """Return H right (M, K), for ``right`` (6 + 2N, K)."""
-        product = np.asarray(self.core @ right[:CORE], dtype=np.float64)
+        product = self.core.T.dot(right[:CORE])
         for own, column in zip(self.own, (self.first, self.third), strict=True):
             part = right.take(column, axis=0)
             part *= own[:, None]
             product += part
-        return product
+        return np.asarray(product, dtype=np.float64)
 
-    def diagonal(self, left: Array) -> Array:
-        """Return the diagonal (M,) of left Hᵀ, for ``left`` (M, 6 + 2N)."""
-        rows = np.arange(len(left))
-        shared = np.einsum("ij,ij->i", left[:, :CORE], self.core)
-        own = left[rows, self.first] * self.own[0] + left[rows, self.third] * self.own[1]
-        return np.asarray(shared + own, dtype=np.float64)
+    def after(self, left: Array) -> Array:
+        """Return left Hᵀ (M, M), for ``left`` (M, 6 + 2N)."""
+        product = left[:, :CORE].dot(self.core)
+        for own, column in zip(self.own, (self.first, self.third), strict=True):
+            part = left.take(column, axis=1)
+            part *= own
+            product += part
+        return np.asarray(product, dtype=np.float64)
 
 
 class TransferFilter:
@@ -153,16 +155,17 @@ class TransferFilter:
             Covariance M of what was executed about (v, ω).
         """
         F, Q, motion = self.transition(v, omega, dt, offset, noise)
-        self.x[:3] += motion * (self.x[5], self.x[5], 1.0)
-        # F is the identity but for its first three rows, which involve the core alone.
-        self.P[:3, :] = F @ self.P[:CORE, :]
-        self.P[:, :3] = self.P[:, :CORE] @ F.T
+        self.x[:3] += motion
+        # F is the identity but for its first two rows, in what they say of φ and of q.
+        turning = F[:2, 2::3]
+        self.P[:2] += turning.dot(self.P[2:CORE:3])
+        self.P[:, :2] += self.P[:, 2:CORE:3].dot(turning.T)
         self.P[:3, :3] += Q
 
     def transition(
         self, v: float, omega: float, dt: float, offset: float, noise: Array
     ) -> tuple[Array, Array, Array]:
-        """Return ∂(x, y, φ)⁺/∂ core (3, 6), its noise (3, 3) and the motion (3,) in m."""
+        """Return ∂(x, y, φ)⁺/∂ core (3, 6), the noise (3, 3) and the change (3,) of (x, y, φ)."""
         q = float(self.x[5])
         dx, dy, turn, (xv, xw, yv, yw) = arc(float(self.x[2]), v, omega, dt, offset)
         F = np.array(
@@ -173,28 +176,30 @@ class TransferFilter:
             ]
         )
         by_velocity = np.array([[q * xv, q * xw], [q * yv, q * yw], [0.0, dt]])
-        return F, by_velocity @ noise @ by_velocity.T, np.array([dx, dy, turn])
+        return F, by_velocity.dot(noise).dot(by_velocity.T), np.array([q * dx, q * dy, turn])
 
     # --- measurement -----------------------------------------------------------------------
 
     def transfer(self, index: Index) -> Transfer:
         """Return the predicted bearings of some features and their derivatives."""
-        x, beta = self.x, self.x[3]
-        initial = np.array([np.sin(beta), -np.cos(beta), x[4]])
-        theta1 = self.theta1[index] - x[CORE + index]
-        theta3 = self.theta3[index] - x[CORE + self.count + index]
+        x, beta = self.x, float(self.x[3])
+        initial = np.array([math.sin(beta), -math.cos(beta), x[4]])
+        theta1 = (self.theta1 - x[CORE : CORE + self.count]).take(index)
+        theta3 = (self.theta3 - x[CORE + self.count :]).take(index)
         return transfer_bearing(initial, x[:3], theta1, theta3)
 
     def core_jacobian(self, transfer: Transfer) -> Array:
-        """Return ∂ bearing/∂ core (M, 6); those by the errors are −``transfer.by_bearings``."""
-        H = np.zeros((len(transfer.bearing), CORE))
-        H[:, :3] = transfer.by_current
-        s, c = np.sin(self.x[3]), np.cos(self.x[3])
-        H[:, 3] = transfer.by_initial[:, 0] * c + transfer.by_initial[:, 1] * s
-        H[:, 4] = transfer.by_initial[:, 2]
+        """Return ∂ bearing/∂ core (6, M); those by the errors are −``transfer.by_bearings``."""
+        H = np.zeros((CORE, len(transfer.bearing)))
+        beta, by_initial = float(self.x[3]), transfer.by_initial
+        H[:3] = transfer.by_current
+        H[3] = by_initial[0] * math.cos(beta) + by_initial[1] * math.sin(beta)
+        H[4] = by_initial[2]
         return H
 
-    def correct(self, index: Index, theta2: Array, sigma2: Array) -> Innovation:
+    def correct(
+        self, index: Index, theta2: Array, sigma2: Array, *, refine: bool = True
+    ) -> Innovation:
         """Use the bearings in the current view of some features.
 
         Parameters
@@ -203,6 +208,10 @@ class TransferFilter:
             Which features.
         theta2, sigma2 : (M,) arrays
             Their bearings and standard deviations (rad).
+        refine : bool
+            Whether the errors of the fixed views' bearings are estimated better, too. If not,
+            they count with the covariance that they have (Schmidt's filter): as consistent, and
+            at half the cost.
 
         Returns
         -------
@@ -210,27 +219,33 @@ class TransferFilter:
             Bearings that are badly conditioned or contradict the state are left out.
         """
         transfer = self.transfer(index)
-        innovation = wrap_half_turn(theta2 - transfer.bearing)
-        core, slopes = self.core_jacobian(transfer), -transfer.by_bearings.T
         least = max(MINIMUM_PARALLAX, _PARALLAX_SIGMAS * math.sqrt(self.P[4, 4]))
         used = np.flatnonzero(np.abs(transfer.parallax) > least)
-        H = _Slopes(core, slopes, CORE + index, CORE + self.count + index).at(used)
-        HP = H.times(self.P)
-        predicted = H.diagonal(HP)
-        noise = self.factor * sigma2[used] ** 2
-        square = innovation[used] ** 2 / (predicted + noise)
-        good = predicted < _MAX_PREDICTED_SD**2
-        growth = self._growth(square[good])
-        HP *= growth
-        noise *= growth
-        good &= square < growth * _GATE**2
-        if not good.all():
-            used, H, HP, noise = used[good], H.at(np.flatnonzero(good)), HP[good], noise[good]
         if not len(used):
             return Innovation(0.0, used)
-        S = H.times(HP.T)
-        S.flat[:: len(used) + 1] += noise
-        return Innovation(self._update(HP, S, innovation[used]), used)
+        core, own = self.core_jacobian(transfer), -transfer.by_bearings
+        H = _Slopes(core, own, CORE + index, CORE + self.count + index).at(used)
+        innovation = wrap_half_turn((theta2 - transfer.bearing)[used])
+        HP = H.times(self.P)
+        S = H.after(HP)
+        diagonal = S.reshape(-1)[:: len(used) + 1]
+        usable = diagonal < _MAX_PREDICTED_SD**2
+        noise = sigma2[used] ** 2
+        noise *= self.factor
+        diagonal += noise
+        square = innovation**2 / diagonal
+        growth = self._growth(square[usable])
+        if growth != 1.0:
+            HP *= growth
+            S *= growth
+        good = usable & (square < growth * _GATE**2)
+        if not good.all():
+            kept = np.flatnonzero(good)
+            used, HP, S, innovation = used[kept], HP[kept], S[kept][:, kept], innovation[kept]
+        if not len(used):
+            return Innovation(0.0, used)
+        update = self._update if refine else self._update_core
+        return Innovation(update(HP, S, innovation), used)
 
     def _growth(self, square: Array) -> float:
         """Let all variances follow normalised innovations squared; return by what factor."""
@@ -251,13 +266,20 @@ class TransferFilter:
         With S = L Lᵀ and W = L⁻¹ H P the gain is Wᵀ L⁻¹ and the covariance falls by Wᵀ W.
         ``HP`` and ``S`` are used up: transposed they are what LAPACK works on in place.
         """
-        L, failed = dpotrf(S.T, lower=True, overwrite_a=True)
-        if failed:
-            raise np.linalg.LinAlgError("the covariance of the innovation is not definite")
-        y, _ = dtrtrs(L, innovation, lower=True)
+        L, y = _whitened(S, innovation)
         W = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
         self.x += y @ W
         self.P -= W.T @ W
+        return float(y @ y)
+
+    def _update_core(self, HP: Array, S: Array, innovation: Array) -> float:
+        """As `_update`, without a gain on the errors of the fixed views' bearings."""
+        L, y = _whitened(S, innovation)
+        W = dtrsm(1.0, L, HP[:, :CORE].T, side=1, lower=1, trans_a=1)
+        self.x[:CORE] += W.dot(y)
+        gain = dtrsm(1.0, L, W, side=1, lower=1)
+        self.P[:CORE] -= gain.dot(HP)
+        self.P[CORE:, :CORE] = self.P[:CORE, CORE:].T
         return float(y @ y)
 
     def exchange(
@@ -292,3 +314,12 @@ class TransferFilter:
         J[0, 0] = J[1, 1] = 1.0 / q
         J[0, 5], J[1, 5], J[2, 2] = -x / q**2, -y / q**2, 1.0
         return np.asarray(J @ self.P[:CORE, :CORE] @ J.T, dtype=np.float64)
+
+
+def _whitened(S: Array, innovation: Array) -> tuple[Array, Array]:
+    """Return the lower factor L of S = L Lᵀ, and L⁻¹ innovation; ``S`` is used up."""
+    L, failed = dpotrf(S.T, lower=True, overwrite_a=True)
+    if failed:
+        raise np.linalg.LinAlgError("the covariance of the innovation is not definite")
+    y, _ = dtrtrs(L, innovation, lower=True)
+    return L, y

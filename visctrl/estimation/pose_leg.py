@@ -6,6 +6,8 @@ earlier guess.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +18,8 @@ from visctrl.geometry.transfer import wrap_half_turn
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: Places to begin from are at least so far apart (rad).
+_SPREAD = math.radians(15.0)
 #: Residuals beyond this many standard deviations pull with constant force.
 HUBER = 2.5
 
@@ -76,10 +80,12 @@ def search_starts(leg: Leg, count: int, step_deg: float = 8.0) -> Array:
     """Return up to ``count`` promising (β, φ1, q), (S, 3), by a search over both angles."""
     angles = np.radians(np.arange(-180.0, 180.0, step_deg))
     beta, phi = (part.ravel() for part in np.meshgrid(angles, angles, indexing="ij"))
+    # The same scale fits a start turned by half a circle about the target, points behind it.
+    front = in_front(leg.theta1, leg.theta3, np.stack([beta, phi], axis=-1))
+    beta, phi = beta[front], phi[front]
     # Half a cell of the search shifts the prediction by some 20 % of the value.
     q, score = scale_of(leg, beta, phi, spread=0.2)
-    # The same k fits a start turned by half a circle about the target, points behind it.
-    score[(q <= 0.0) | ~in_front(leg.theta1, leg.theta3, np.stack([beta, phi], axis=-1))] = np.inf
+    score[q <= 0.0] = np.inf
     return _spread_minima(np.stack([beta, phi, q], axis=-1), score, count)
 
 
@@ -124,17 +130,27 @@ def scale_of(leg: Leg, beta: Array, phi: Array, spread: float = 0.05) -> tuple[A
     rho, variance = inverse_range[known], variance[known]
     theta3 = leg.theta3[known]
     # C1 × d3 over d3 × d1 is the range from C1 in units of |C1|.
-    reach = np.sin(beta[:, None] + theta3)
-    reach = np.where(np.abs(reach) < 0.05, np.copysign(0.05, reach), reach)
-    k = np.sin(theta3 - leg.theta1[known] + phi[:, None]) / reach
-    weight = 1.0 / (variance + (spread * rho) ** 2)
+    reach = _sines(beta, theta3)
+    reach = np.copysign(np.maximum(np.abs(reach), 0.05), reach)
+    # Both in standard deviations.
+    k = _sines(phi, theta3 - leg.theta1[known]) / reach
+    scale = 1.0 / np.sqrt(variance + (spread * rho) ** 2)
+    k, rho = k * scale, rho * scale
+    along, square = k * rho, k * k
     pull = np.ones_like(k)
     for _ in range(3):
-        q = np.sum(pull * weight * k * rho, axis=1) / np.sum(pull * weight * k * k, axis=1)
-        scaled = np.abs(rho - q[:, None] * k) * np.sqrt(weight)
+        q = np.einsum("sn,sn->s", pull, along) / np.einsum("sn,sn->s", pull, square)
+        scaled = np.abs(rho - q[:, None] * k)
         pull = np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12))
-    loss = np.where(scaled < HUBER, scaled**2, HUBER * (2 * scaled - HUBER))
-    return q, np.sum(loss, axis=1)
+    # Huber's loss, as a sum of squares.
+    clipped = np.minimum(scaled, HUBER)
+    return q, np.sum(clipped * (2.0 * scaled - clipped), axis=1)
+
+
+def _sines(angle: Array, theta: Array) -> Array:
+    """Return sin(angle + theta), (S, N), for (S,) and (N,): one matrix product."""
+    turn = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+    return np.asarray(turn @ np.stack([np.cos(theta), np.sin(theta)]), dtype=np.float64)
 
 
 def in_front(theta1: Array, theta3: Array, common: Array) -> Mask:
@@ -143,28 +159,27 @@ def in_front(theta1: Array, theta3: Array, common: Array) -> Mask:
     theta1, theta3 : (N,) bearings in the initial and the target view (rad).
     common : (S, 2 or more) direction β and heading φ1 of C1 (rad), and anything.
     """
-    beta, alpha1 = common[:, :1], theta1 - common[:, 1:2]
-    parallax = np.sin(theta3 - alpha1)
-    range1, range3 = np.sin(beta + theta3), np.sin(beta + alpha1)
+    beta, phi = common[:, 0], common[:, 1]
+    parallax = _sines(phi, theta3 - theta1)
+    range1, range3 = _sines(beta, theta3), _sines(beta - phi, theta1)
     # Far points lie on either side by chance: they vote with their parallax.
-    first = np.sum(np.sign(range1) * parallax, axis=1)
-    third = np.sum(np.sign(range3) * parallax, axis=1)
+    first = np.einsum("sn,sn->s", np.sign(range1), parallax)
+    third = np.einsum("sn,sn->s", np.sign(range3), parallax)
     return np.asarray((first > 0.0) & (third > 0.0))
 
 
 def _spread_minima(candidates: Array, score: Array, count: int) -> Array:
     """Return the best candidates (·, 3) that are at least 15 degrees apart."""
-    chosen: list[Array] = []
-    for index in np.argsort(score)[: 40 * count]:
-        if len(chosen) == count or not np.isfinite(score[index]):
+    chosen: list[list[float]] = []
+    best = np.argsort(score)[: 40 * count]
+    for candidate in candidates[best[np.isfinite(score[best])]].tolist():
+        if len(chosen) == count:
             break
-        candidate = candidates[index]
-        if all(apart(candidate, other) > np.radians(15.0) for other in chosen):
+        if all(apart(candidate, other) > _SPREAD for other in chosen):
             chosen.append(candidate)
     return np.array(chosen).reshape(-1, 3)
 
 
-def apart(a: Array, b: Array) -> float:
-    """Return the larger of the differences of β and φ1 (rad) of two solutions (2,) or (3,)."""
-    turn = np.abs(np.remainder(a[:2] - b[:2] + np.pi, 2.0 * np.pi) - np.pi)
-    return float(turn.max())
+def apart(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the larger of the differences of β and φ1 (rad) of two solutions (β, φ1, …)."""
+    return max(abs(math.remainder(x - y, math.tau)) for x, y in zip(a[:2], b[:2], strict=True))

@@ -11,6 +11,8 @@ in units of |C1|; the dead-reckoned motion δ of the leg, in metres, fixes q:
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +36,8 @@ MINIMUM_FEATURES = 5
 #: Sine of the angle between a feature's rays in the initial and target view below which the
 #: noise of those two decides where the feature is.
 MINIMUM_PARALLAX = 0.12
+#: Two starts whose angles (rad) and scales differ by less lead to the same solution.
+_SAME = 1e-3
 #: Beyond this many standard deviations a bearing is an error, not noise.
 _OUTLIER = 4.0
 
@@ -45,7 +49,7 @@ class Start:
     beta, phi : direction and heading of C1 (rad).
     q : 1/|C1| (1/m).
     turn : heading at the end of the leg less the dead-reckoned one (rad).
-    errors : (N, 2) errors of the bearings in the initial and the target view (rad).
+    errors : (2, N) errors of the bearings in the initial and the target view (rad).
     covariance : (4 + 2N, 4 + 2N), of (β, φ1, q, turn, e1 of all, e3 of all features).
     used : (N,) features that agree with the solution.
     cost : half the sum of squared normalised residuals.
@@ -94,9 +98,10 @@ def solve_leg(leg: Leg, previous: Start | None = None, starts: int = 8) -> Start
         return None
     at = Candidates.of(base, coarse)
     # Far from the solution, features near the baseline of the fixed views lead astray.
-    for iterations, parallax in ((8, 3.0 * MINIMUM_PARALLAX), (20, MINIMUM_PARALLAX)):
-        weight = _weights(coarse, at, parallax)
-        at, cost = descend(coarse, at, weight, iterations)
+    at, cost = descend(coarse, at, _weights(coarse, at, 3.0 * MINIMUM_PARALLAX), iterations=8)
+    at = at.take(_distinct(at.common, cost))
+    weight = _weights(coarse, at)
+    at, cost = descend(coarse, at, weight, iterations=20)
     # Rows left out count as if they fitted as well as noise does.
     cost = cost + 0.5 * np.sum(seen(coarse) - weight, axis=(1, 2))
     good = (at.common[:, 2] > 0.0) & np.isfinite(cost)
@@ -107,6 +112,21 @@ def solve_leg(leg: Leg, previous: Start | None = None, starts: int = 8) -> Start
     best = int(np.argmin(cost))
     rival = _rival(at.common, cost, best)
     return _finish(leg, Candidates.of(at.common[[best], :BASE], leg), rival)
+
+
+def _distinct(common: Array, cost: Array) -> NDArray[np.intp]:
+    """Return which solutions (S, 3 or more) remain when the same one is kept only once."""
+    kept: list[int] = []
+    base = common[:, :BASE].tolist()
+    for index in np.argsort(cost).tolist():
+        if all(_differ(base[index], base[other], _SAME, _SAME) for other in kept):
+            kept.append(index)
+    return np.array(kept, dtype=np.intp)
+
+
+def _differ(a: Sequence[float], b: Sequence[float], angle: float, scale: float) -> bool:
+    """Return whether two solutions (β, φ1, q) differ by an angle (rad) or a share of the scale."""
+    return apart(a, b) > angle or abs(a[2] / b[2] - 1.0) > scale
 
 
 def _weights(leg: Leg, at: Candidates, minimum: float = MINIMUM_PARALLAX) -> Array:
@@ -122,12 +142,13 @@ def _weights(leg: Leg, at: Candidates, minimum: float = MINIMUM_PARALLAX) -> Arr
 
 def _rival(common: Array, cost: Array, best: int) -> float:
     """Return by how much the cost of the nearest competitor exceeds the best one."""
+    base = common[:, :BASE].tolist()
     others = [
-        float(cost[i] - cost[best])
-        for i in range(len(cost))
-        if apart(common[i], common[best]) > 0.1 or abs(common[i, 2] / common[best, 2] - 1) > 0.3
+        excess
+        for start, excess in zip(base, (cost - cost[best]).tolist(), strict=True)
+        if _differ(start, base[best], 0.1, 0.3)
     ]
-    return min(others, default=float("inf"))
+    return min(others, default=math.inf)
 
 
 def _finish(leg: Leg, at: Candidates, rival: float) -> Start:
@@ -141,7 +162,7 @@ def _finish(leg: Leg, at: Candidates, rival: float) -> Start:
     normal = normal_equations(leg, at, weight)
     frames = seen(leg).sum(axis=0)
     errors = at.errors[0]
-    plain = np.abs(errors / np.stack([leg.sigma1, leg.sigma3], axis=-1)).max(axis=-1) < _OUTLIER
+    plain = np.abs(errors / np.stack([leg.sigma1, leg.sigma3])).max(axis=0) < _OUTLIER
     used = plain & (weight[0].sum(axis=0) > 0.5 * np.maximum(frames, 1.0))
     last = at.common.shape[1] - 1
     beta, phi, q = at.common[0, :BASE].tolist()

@@ -39,6 +39,8 @@ class TransferOptions(Document):
     rival : the first leg goes on while another start explains it nearly as well: within this
         much of the cost (half a squared Mahalanobis distance).
     max_features : more than this are not carried along.
+    refine_s : how often the errors of the fixed views' bearings are estimated better (s); in
+        between they only count. 0 is with every frame.
     exchange_frames : a feature unused for so many frames makes room for another one.
     blind_max_s : without any measurement for longer, the pose counts as lost.
     noise : of the executed motion.
@@ -50,6 +52,7 @@ class TransferOptions(Document):
     leg_max_m: Positive = 1.5
     rival: NonNegative = 50.0
     max_features: Annotated[int, Field(ge=5, le=500)] = 60
+    refine_s: NonNegative = 0.25
     exchange_frames: Annotated[int, Field(ge=1)] = 10
     blind_max_s: Positive = 3.0
     noise: MotionNoise = MotionNoise()
@@ -89,7 +92,8 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         self._last: PoseEstimate | None = None
         self._ids: Ids = np.empty(0, dtype=np.int64)
         self._unused: NDArray[np.int64] = np.empty(0, dtype=np.int64)
-        self._stamp = -math.inf
+        self._seen = _Seen(self._ids, self._ids)
+        self._stamp = self._refined = -math.inf
         self._blind = 0.0
         self._innovation = Innovation(0.0, np.empty(0, dtype=np.intp))
 
@@ -171,17 +175,22 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     # --- filtering ---------------------------------------------------------------------------
 
     def _correct(self, state: TransferFilter, views: Views) -> None:
-        order = np.argsort(self._ids)
-        place = np.searchsorted(self._ids, views.ids, sorter=order)
-        slot = order[np.minimum(place, len(order) - 1)]
-        known = self._ids[slot] == views.ids
-        sigma = views.bearing_sigmas()
-        theta2 = bearings(views.current)
-        self._innovation = state.correct(slot[known], theta2[known], sigma[2][known])
+        if not np.array_equal(views.ids, self._seen.ids):
+            self._seen = _Seen(views.ids, self._ids)
+        seen, sigma, theta2 = self._seen, views.bearing_sigmas(), bearings(views.current)
+        sigma2 = sigma[2]
+        if len(seen.spare):
+            theta2, sigma2 = theta2[seen.known], sigma2[seen.known]
+        # Stamps are rounded: a period of exactly this long is not too short.
+        refine = views.stamp - self._refined > 0.99 * self.options.refine_s
+        if refine:
+            self._refined = views.stamp
+        self._innovation = state.correct(seen.slots, theta2, sigma2, refine=refine)
         self._unused += 1
-        self._unused[slot[known][self._innovation.used]] = 0
-        if (self._unused >= self.options.exchange_frames).any() and not known.all():
-            self._exchange(state, views, np.flatnonzero(~known), sigma)
+        self._unused[seen.slots[self._innovation.used]] = 0
+        if len(seen.spare) and self._unused.max() >= self.options.exchange_frames:
+            self._exchange(state, views, seen.spare, sigma)
+            self._seen = _Seen(views.ids, self._ids)
 
     def _exchange(
         self, state: TransferFilter, views: Views, spare: NDArray[np.intp], sigma: Array
@@ -223,6 +232,23 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         return Health.LOST if self._blind > self.options.blind_max_s else Health.OK
 
 
+class _Seen:
+    """Which of the features in view are in the state.
+
+    ids : of the features in view. slots : where in the state those are that it knows, of which
+    known are the positions in view. spare : positions in view of the others.
+    """
+
+    def __init__(self, ids: Ids, state: Ids) -> None:
+        self.ids = ids
+        order = np.argsort(state)
+        place = np.minimum(np.searchsorted(state, ids, sorter=order), max(len(order) - 1, 0))
+        slots = order.take(place) if len(order) else place
+        known = state.take(slots) == ids if len(order) else np.zeros(len(ids), dtype=np.bool_)
+        self.slots = slots[known]
+        self.known, self.spare = np.flatnonzero(known), np.flatnonzero(~known)
+
+
 def _started(start: Start, seen: Leg, leg: ForwardLeg) -> TransferFilter:
     """Return the filter at the end of the first leg."""
     n = len(seen.theta1)
@@ -233,7 +259,7 @@ def _started(start: Start, seen: Leg, leg: ForwardLeg) -> TransferFilter:
     x[:2] = np.array([math.sin(start.beta), -math.cos(start.beta)]) + start.q * way
     x[2] = start.phi + leg.motion[2] + start.turn
     x[3:CORE] = start.beta, start.phi, start.q
-    x[CORE:] = start.errors.T.ravel()
+    x[CORE:] = start.errors.ravel()
     J = np.zeros((len(x), 4 + 2 * n))
     J[:2, 0] = math.cos(start.beta), math.sin(start.beta)
     J[:2, 1] = start.q * np.array([-way[1], way[0]])

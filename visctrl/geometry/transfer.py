@@ -10,6 +10,9 @@ meet at P, and a × b being the planar cross product,
 No division: a feature at infinity or a vanishing parallax d3 × d1 makes w small, not infinite.
 The scale of C1 and C2 is free, as long as it is the same. Bearings are measured clockwise from
 forward and headings counter-clockwise from the y axis (rad).
+
+Written in complex numbers, y + i x for a vector (x, y), a ray is exp(iθ), d3 × d1 the imaginary
+part of exp(i(θ3 − α1)), and a change of w turns its direction by the imaginary part of ∂w/w.
 """
 
 from __future__ import annotations
@@ -21,6 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+#: In place of a point that nobody sees, whose direction does not change.
+_FAR = 1e300
+
 
 class Transfer(NamedTuple):
     """Bearings in the current view and how they depend on everything.
@@ -28,16 +34,27 @@ class Transfer(NamedTuple):
     bearing : (...) θ2 (rad), determined up to π.
     parallax : (...) d3 × d1, the sine of the angle between the feature's rays in the target and
         the initial view; with the other half of the geometry it is positive in front of both.
-    by_initial : (..., 3) ∂θ2/∂(x1, y1, φ1).
-    by_current : (..., 3) ∂θ2/∂(x2, y2, φ2).
-    by_bearings : (..., 2) ∂θ2/∂(θ1, θ3).
+    slopes : (8, ...) ∂θ2/∂(x1, y1, φ1, x2, y2, φ2, θ1, θ3).
     """
 
     bearing: Array
     parallax: Array
-    by_initial: Array
-    by_current: Array
-    by_bearings: Array
+    slopes: Array
+
+    @property
+    def by_initial(self) -> Array:
+        """(3, ...) ∂θ2/∂(x1, y1, φ1)."""
+        return self.slopes[:3]
+
+    @property
+    def by_current(self) -> Array:
+        """(3, ...) ∂θ2/∂(x2, y2, φ2)."""
+        return self.slopes[3:6]
+
+    @property
+    def by_bearings(self) -> Array:
+        """(2, ...) ∂θ2/∂(θ1, θ3)."""
+        return self.slopes[6:]
 
 
 def bearings(rays: ArrayLike) -> Array:
@@ -69,27 +86,20 @@ def transfer_bearing(
     current = np.asarray(current, dtype=np.float64)
     x1, y1, phi1 = initial[..., 0], initial[..., 1], initial[..., 2]
     x2, y2, phi2 = current[..., 0], current[..., 1], current[..., 2]
-    theta3 = np.asarray(theta3, dtype=np.float64)
-    alpha1 = np.asarray(theta1, dtype=np.float64) - phi1
-    s1, c1, s3, c3 = np.sin(alpha1), np.cos(alpha1), np.sin(theta3), np.cos(theta3)
-    parallax = s3 * c1 - c3 * s1
-    reach = x1 * c1 - y1 * s1
-    wx, wy = reach * s3 - parallax * x2, reach * c3 - parallax * y2
-    square = wx * wx + wy * wy
-    inverse = 1.0 / np.where(square > 0.0, square, np.inf)
-    # ∂θ2 = (w_y ∂w_x − w_x ∂w_y)/|w|²; for a change along d3 and along C2 that is
-    along3 = (wy * s3 - wx * c3) * inverse
-    along2 = (wy * x2 - wx * y2) * inverse
-    cosine = c3 * c1 + s3 * s1
-    by_alpha1 = -(x1 * s1 + y1 * c1) * along3 + cosine * along2
-    by_theta3 = reach * (wy * c3 + wx * s3) * inverse - cosine * along2
-    shape = np.broadcast_shapes(wx.shape, phi2.shape)
-    by_initial = np.empty((*shape, 3))
-    by_initial[..., 0], by_initial[..., 1] = c1 * along3, -s1 * along3
-    by_initial[..., 2] = -by_alpha1
-    by_current = np.empty((*shape, 3))
-    by_current[..., 0], by_current[..., 1] = -parallax * wy * inverse, parallax * wx * inverse
-    by_current[..., 2] = 1.0
-    by_bearings = np.empty((*shape, 2))
-    by_bearings[..., 0], by_bearings[..., 1] = by_alpha1, by_theta3
-    return Transfer(np.arctan2(wx, wy) + phi2, parallax, by_initial, by_current, by_bearings)
+    ray3 = np.exp(1j * np.asarray(theta3, dtype=np.float64))
+    ray1 = np.exp(1j * (np.asarray(theta1, dtype=np.float64) - phi1))
+    between = ray3 * ray1.conj()
+    parallax, cosine = between.imag, between.real
+    # x1 c1 − y1 s1, the reach C1 × d1, and x1 s1 + y1 c1.
+    arm = (x1 + 1j * y1) * ray1
+    centre = y2 + 1j * x2
+    w = arm.real * ray3 - parallax * centre
+    inverse = 1.0 / np.where(w == 0.0, _FAR, w)
+    along3, along2 = ray3 * inverse, (centre * inverse).imag
+    slopes = np.empty((8, *np.broadcast_shapes(w.shape, phi2.shape)))
+    slopes[0], slopes[1] = ray1.real * along3.imag, -ray1.imag * along3.imag
+    slopes[6] = cosine * along2 - arm.imag * along3.imag
+    slopes[2] = -slopes[6]
+    slopes[3], slopes[4], slopes[5] = -parallax * inverse.real, -parallax * inverse.imag, 1.0
+    slopes[7] = arm.real * along3.real - cosine * along2
+    return Transfer(np.arctan2(w.imag, w.real) + phi2, parallax, slopes)
