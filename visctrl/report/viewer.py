@@ -73,6 +73,7 @@ class ViewerStream(Observer):
         self.host, self.port = "", 0
         #: What went wrong, empty if nothing.
         self.problem = ""
+        self._closed = False
         self._thread = threading.Thread(target=self._publish_all, name="viewer", daemon=True)
         self._thread.start()
 
@@ -137,7 +138,10 @@ class ViewerStream(Observer):
             self.given_up += 1
 
     def close(self) -> None:
-        """Encode what is left and close the file or the server."""
+        """Encode what is left and close the file or the server; a second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
         self._queue.put(None)
         self._thread.join()
         if not self.port:
