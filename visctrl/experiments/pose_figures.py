@@ -104,10 +104,13 @@ def figure_4_4(bench: Bench) -> list[Row]:
     ours = [_recorded(bench, s, "consistent filter", obstacle) for s in FIGURE_4_4]
     source = [_recorded(bench, s, "epipoles", obstacle, *epipoles) for s in FIGURE_4_4]
     summaries = bench.run([*ours, *source])
-    plot_runs(bench.out, _directories([*ours, *source]), "obstacle on the third path", [OBSTACLE])
+    plot_runs(
+        bench.out, _directories([*ours, *source]), "obstacle on the third path", [(*OBSTACLE, None)]
+    )
     rows = [_reached(start_name(s), r) for s, r in zip(FIGURE_4_4, summaries, strict=False)]
     for start, summary in zip(FIGURE_4_4, summaries[len(FIGURE_4_4) :], strict=True):
-        rows.append(Row(f"{start_name(start)} epipoles", {}, distances(summary), True))
+        case = f"{start_name(start)} epipoles: {summary['status']}"
+        rows.append(Row(case, {}, distances(summary), True))
     for name, job in (("consistent filter", ours[-1]), ("epipoles", source[-1])):
         gap = _gap(job.out)
         rows.append(Row(f"{name}: from the obstacle", {"gap_cm": 0.0}, {"gap_cm": gap}, gap > 0.0))
@@ -133,7 +136,7 @@ def figure_4_4_sim(bench: Bench) -> list[Row]:
         for name, start, boxes, provider in BOXES
     ]
     summaries = bench.run(jobs)
-    circles = [(x, y, 0.28) for _, _, boxes, _ in BOXES for x, y in boxes]
+    circles = [(x, y, 0.28, k) for k, (_, _, boxes, _) in enumerate(BOXES) for x, y in boxes]
     plot_runs(bench.out, _directories(jobs), "boxes on the path", circles)
     rows = []
     for (name, *_), summary in zip(BOXES, summaries, strict=True):

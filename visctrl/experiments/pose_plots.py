@@ -64,15 +64,20 @@ def plot_runs(
     out: Path,
     directories: Sequence[Path],
     title: str,
-    obstacles: Sequence[tuple[float, float, float]] = (),
+    obstacles: Sequence[tuple[float, float, float, int | None]] = (),
 ) -> Path:
-    """Draw recorded runs, and obstacles (x, y, radius in m); return the picture's path."""
+    """Draw recorded runs and obstacles; return the picture's path.
+
+    obstacles : x, y and radius (m), and which run they stood in, None for all.
+    """
     figure = page(title, 13.0, 8.0)
     axes = figure.subplots(2, 3).ravel()
     for number, directory in enumerate(directories):
-        _draw_run(axes, read_ticks(directory / "ticks.csv"), directory.name, f"C{number}")
-    for x, y, radius in obstacles:
-        axes[0].add_patch(Circle((x, y), radius, color="0.4"))
+        label = " ".join(directory.name.replace("_", " ").split())
+        _draw_run(axes, read_ticks(directory / "ticks.csv"), label, f"C{number}")
+    for x, y, radius, run in obstacles:
+        color = "0.4" if run is None else f"C{run}"
+        axes[0].add_patch(Circle((x, y), radius, facecolor=color, edgecolor=color, alpha=0.4))
     axes[0].plot(0.0, 0.0, "k+", markersize=12)
     axes[0].set(title="path (dotted: estimated)", xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes[0].grid(alpha=0.3)
