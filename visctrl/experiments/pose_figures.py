@@ -50,17 +50,17 @@ BOXES: tuple[tuple[str, Start, tuple[tuple[float, float], ...], str], ...] = (
     ("sonar, no box", (-0.55, -1.35, -35.0), (), _SONAR),
 )
 _TAKEN_10 = "target.frames=10"
-_SHOWN = "centre off along the other axis by (px)"
+_SHOWN = "centre off by (rows)"
 
 
 def figure_4_3(bench: Bench) -> list[Row]:
     """Tilt the camera by 0…10 deg, shift its centre by 0…20 px: 50 runs each.
 
     The filter is told of the noise in the images and knows nothing of the wrong calibration. A
-    shift along the image's other axis is shown and not judged.
+    shift along the image's rows is shown and not judged.
     """
     cases = [("misalignment (deg)", "camera_error.tilt_deg", value) for value in TILTS_DEG]
-    cases += [("centre off by (px)", "camera_error.cx_px", value) for value in SHIFTS_PX]
+    cases += [("centre off by (columns)", "camera_error.cx_px", value) for value in SHIFTS_PX]
     cases += [(_SHOWN, "camera_error.cy_px", value) for value in SHIFTS_PX[1:]]
     start = (-8.0, -12.0, -20.0)
     jobs = [
