@@ -9,7 +9,6 @@ the bounds; the source's index, the value over its upper bound, is then under 1.
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, ClassVar
@@ -106,18 +105,15 @@ class ConsistencyMeter(Observer):
     """Collects NEES and NIS of a run."""
 
     def __init__(self) -> None:
-        self.nees = array("d")
-        self.nis = array("d")
-        self.nis_dof = array("d")
+        self._nees, self._nis = _Share(), _Share()
 
     def on_tick(self, record: TickRecord) -> None:
         """Take a tick into account."""
         values = dict(record.signals).get(NAME, {})
         if "nees" in values:
-            self.nees.append(values["nees"])
+            self._nees.add(values["nees"], _POSE_DOF, values["nees_low"], values["nees_high"])
         if "nis" in values:
-            self.nis.append(values["nis"])
-            self.nis_dof.append(values["nis_dof"])
+            self._nis.add(values["nis"], values["nis_dof"], values["nis_low"], values["nis_high"])
 
     def summary(self) -> dict[str, Any] | None:
         """Return the part of a run's summary, or None where no pose was estimated.
@@ -126,28 +122,32 @@ class ConsistencyMeter(Observer):
         alike from tick to tick, so that its NEES may stay beyond the bounds for long; many runs
         tell more.
         """
-        if not len(self.nees) and not len(self.nis):
+        if not self._nees.ticks and not self._nis.ticks:
             return None
         return {
             "confidence": CONFIDENCE,
-            "nees": _judged(np.array(self.nees), np.full(len(self.nees), float(_POSE_DOF))),
-            "nis": _judged(np.array(self.nis), np.array(self.nis_dof)),
+            "nees": self._nees.judged(),
+            "nis": self._nis.judged(),
         }
 
 
-def inside(values: np.ndarray[Any, Any], dof: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return which values lie between the bounds of χ² with these degrees of freedom."""
-    bounds = np.array([chi_square_bounds(round(float(each))) for each in dof]).reshape(-1, 2)
-    return np.asarray((values >= bounds[:, 0]) & (values <= bounds[:, 1]))
+class _Share:
+    """Sums of a normalised square and of its degrees of freedom, and how often it was inside."""
 
+    def __init__(self) -> None:
+        self.ticks = self._inside = 0
+        self._sum = self._dof = 0.0
 
-def _judged(
-    values: np.ndarray[Any, Any], dof: np.ndarray[Any, Any]
-) -> dict[str, float | int] | None:
-    if not len(values):
-        return None
-    return {
-        "ticks": len(values),
-        "mean": float(values.sum() / dof.sum()),
-        "inside": float(inside(values, dof).mean()),
-    }
+    def add(self, value: float, dof: float, low: float, high: float) -> None:
+        """Count a value and its bounds."""
+        self.ticks += 1
+        self._sum += value
+        self._dof += dof
+        self._inside += low <= value <= high
+
+    def judged(self) -> dict[str, float | int] | None:
+        """Return the mean per degree of freedom and the share inside, None without a value."""
+        if not self.ticks:
+            return None
+        mean, inside = self._sum / self._dof, self._inside / self.ticks
+        return {"ticks": self.ticks, "mean": mean, "inside": inside}

@@ -18,6 +18,7 @@ from visctrl.config import LoadedScenario, Override, Scenario, load_scenario, to
 from visctrl.plugins import Context, Decision, Estimator, Perception, Plugin, Views
 from visctrl.runtime.images import INITIAL
 from visctrl.runtime.loop import PluginError
+from visctrl.runtime.meter import Meter
 from visctrl.runtime.pictures import Pictures
 from visctrl.runtime.plan import Chosen, choose, chosen_camera
 from visctrl.runtime.recorder import CONFIG, Recorder, RunDirectory
@@ -27,7 +28,7 @@ from visctrl.runtime.registry import REGISTRIES, Registries
 from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.scheduler import Tick
 from visctrl.runtime.schemes import APPROACH_ESTIMATOR, scheme_named
-from visctrl.runtime.summary import Meter, spread_ms, versions
+from visctrl.runtime.summary import versions
 
 T = TypeVar("T")
 
@@ -296,12 +297,10 @@ class _Replay:
             "estimator": plan.estimators["main"].name,
             "camera": plan.camera.name,
             "seed": plan.scenario.seed,
-            "ticks": len(meter.features),
-            "features": meter.few_features(),
+            "ticks": meter.main_ticks,
+            "features": meter.features(),
             "health": {kind: dict(counts) for kind, counts in self._health.items()},
-            "stages_ms": {
-                kind: spread_ms(meter.parts[kind]) for kind in ("perception", "estimation")
-            },
+            "stages_ms": {kind: meter.spread_ms(kind) for kind in ("perception", "estimation")},
             "versions": versions(),
         }
 

@@ -21,6 +21,7 @@ from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.images import ImageRecorder
 from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
+from visctrl.runtime.meter import Meter
 from visctrl.runtime.pictures import Pictures
 from visctrl.runtime.plan import Chosen, Plan, StagePlan
 from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, Reporting, RunDirectory
@@ -28,7 +29,7 @@ from visctrl.runtime.records import Observer
 from visctrl.runtime.safety import Guard, LostError
 from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
-from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, Meter, judge, summarise
+from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, judge, summarise
 
 T = TypeVar("T")
 

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import math
 import platform
-from array import array
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
-from typing import Any, ClassVar
-
-import numpy as np
+from typing import Any
 
 import visctrl
 from hal.types import Pose
-from visctrl.runtime.consistency import ConsistencyMeter
 from visctrl.runtime.loop import Tally
+from visctrl.runtime.meter import PARTS, Meter
 from visctrl.runtime.plan import Plan
-from visctrl.runtime.records import COMPUTE, STAGES, Observer, TickRecord
 
 REACHED, MISSED, LOST, STOPPED, FAULT = "reached", "missed", "lost", "stopped", "fault"
 
@@ -28,7 +23,6 @@ _PACKAGES = {
     "pybullet": "pybullet",
     "scipy": "scipy",
 }
-_MS = 1000.0
 
 
 @dataclass(frozen=True)
@@ -42,56 +36,6 @@ class End:
     reason: str
     exit_code: int
     details: str = ""
-
-
-class Meter(Observer):
-    """Collects what the summary is made of, a few numbers a tick."""
-
-    #: But for what `Consistency` says, which is always there.
-    reads_signals: ClassVar[bool] = False
-
-    def __init__(self) -> None:
-        self.lateness = array("d")
-        self._seconds = array("d")
-        self.features = array("l")
-        self.consistency = ConsistencyMeter()
-        self.path_length = 0.0
-        self.last: TickRecord | None = None
-        self._position: tuple[float, float] | None = None
-
-    def on_tick(self, record: TickRecord) -> None:
-        """Take a tick into account."""
-        self.lateness.append(record.tick.lateness)
-        self._seconds.extend(record.seconds)
-        if record.stage == "main":
-            self.features.append(len(record.views))
-        self.consistency.on_tick(record)
-        self.move_to(record.truth or record.odometry.pose)
-        self.last = record
-
-    def move_to(self, pose: Pose) -> None:
-        """Lengthen the path by the way to ``pose``."""
-        here = (pose.x, pose.y)
-        if self._position is not None:
-            self.path_length += math.dist(here, self._position)
-        self._position = here
-
-    def few_features(self) -> dict[str, int | float | None]:
-        """Return the least and the median number of features in the main stage."""
-        if not len(self.features):
-            return {"min": None, "median": None}
-        return {"min": min(self.features), "median": float(np.median(self.features))}
-
-    @property
-    def parts(self) -> dict[str, array[float]]:
-        """What each part of the tick but the last took, per tick (s)."""
-        names = STAGES[:-1]
-        return {name: self._seconds[k :: len(names)] for k, name in enumerate(names)}
-
-    def compute(self) -> Sequence[float]:
-        """Return what the plugins took, per tick (s)."""
-        parts = self.parts
-        return list(map(sum, zip(*(parts[name] for name in COMPUTE), strict=True)))
 
 
 def judge(plan: Plan, finished: bool, truth: Pose | None, collisions: int) -> End:
@@ -152,11 +96,11 @@ def summarise(
         "period_s": plan.period_s,
         "ticks": tally.ticks,
         "missed_ticks": tally.missed,
-        "lateness_ms": spread_ms(meter.lateness),
-        "compute_ms": spread_ms(meter.compute()),
-        "stages_ms": {name: spread_ms(values) for name, values in meter.parts.items()},
+        "lateness_ms": meter.spread_ms("lateness"),
+        "compute_ms": meter.spread_ms("compute"),
+        "stages_ms": {name: meter.spread_ms(name) for name in PARTS},
         "real_time_factor": duration / wall if wall > 0.0 else None,
-        "features": meter.few_features(),
+        "features": meter.features(),
         "consistency": meter.consistency.summary(),
         "versions": versions(),
     }
@@ -172,14 +116,3 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
-
-
-def spread_ms(seconds: Sequence[float]) -> dict[str, float | None]:
-    """Return median, 99th percentile and maximum of durations, in ms; None without any."""
-    if not len(seconds):
-        return {"median": None, "p99": None, "max": None}
-    ms = np.sort(_MS * np.asarray(seconds, dtype=np.float64))
-    last = len(ms) - 1
-    # A tenth of what `numpy.percentile` takes.
-    median, p99 = np.interp((0.5 * last, 0.99 * last), np.arange(len(ms)), ms).tolist()
-    return {"median": median, "p99": p99, "max": float(ms[last])}
