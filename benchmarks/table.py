@@ -16,6 +16,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from visctrl.threads import LINEAR_ALGEBRA
+
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
 BEGIN, END = "<!-- benchmarks -->", "<!-- end of benchmarks -->"
@@ -31,9 +33,8 @@ def run(options: list[str]) -> dict[str, Any]:
             *("--benchmark-timer=time.process_time", "--benchmark-disable-gc"),
             *(f"--benchmark-json={out}", "--benchmark-columns=median", *options),
         ]
-        single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         code = subprocess.run(
-            command, cwd=ROOT, env={**os.environ, **single}, check=False
+            command, cwd=ROOT, env={**os.environ, **LINEAR_ALGEBRA}, check=False
         ).returncode
         if not out.exists():
             raise SystemExit(code or 1)

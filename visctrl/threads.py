@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 
 #: Of linear algebra. The matrices here are small: threads cost more than they bring, and what a
 #: sum comes to would depend on their number.
@@ -22,6 +23,19 @@ def limit_linear_algebra() -> None:
     """
     for name, value in LINEAR_ALGEBRA.items():
         os.environ.setdefault(name, value)
+
+
+def one_thread_of_algebra() -> AbstractContextManager[object]:
+    """Keep linear algebra to one thread for a while, though numpy may long be imported.
+
+    On two cores, threads make a tick of the pose scheme take six times as long.
+    """
+    if os.environ.items() >= LINEAR_ALGEBRA.items():
+        return nullcontext()
+    from threadpoolctl import threadpool_limits
+
+    limited: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limited
 
 
 def limit_all() -> None:

@@ -29,6 +29,7 @@ from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.scheduler import Tick
 from visctrl.runtime.schemes import APPROACH_ESTIMATOR, scheme_named
 from visctrl.runtime.summary import versions
+from visctrl.threads import one_thread_of_algebra
 
 T = TypeVar("T")
 
@@ -142,7 +143,8 @@ def replay(
     PluginError
         A plugin raised an exception.
     """
-    return _Replay(recording, plan, out, video, observers).run()
+    with one_thread_of_algebra():
+        return _Replay(recording, plan, out, video, observers).run()
 
 
 class _Replay:

@@ -30,6 +30,7 @@ from visctrl.runtime.safety import Guard, LostError
 from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
 from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, judge, summarise
+from visctrl.threads import one_thread_of_algebra
 
 T = TypeVar("T")
 
@@ -85,7 +86,8 @@ def run_session(
         Something cannot be used, found before the robot was told anything. Nothing is left
         behind. Every other failure is an `Outcome`.
     """
-    return _Session(plan, out, (video, mcap), observers, stop or StopRequest()).run()
+    with one_thread_of_algebra():
+        return _Session(plan, out, (video, mcap), observers, stop or StopRequest()).run()
 
 
 class _Session:
