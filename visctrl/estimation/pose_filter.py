@@ -85,12 +85,6 @@ class _Slopes:
     first: Index
     third: Index
 
-    def at(self, rows: Index) -> _Slopes:
-        """Return some of the rows."""
-        if len(rows) == len(self.first):
-            return self
-        return _Slopes(self.core[:, rows], self.own[:, rows], self.first[rows], self.third[rows])
-
     def times(self, right: Array) -> Array:
         """Return H right (M, K), for ``right`` (6 + 2N, K)."""
         product = self.core.T.dot(right[:CORE])
@@ -184,9 +178,18 @@ class TransferFilter:
         """Return the predicted bearings of some features and their derivatives."""
         x, beta = self.x, float(self.x[3])
         initial = np.array([math.sin(beta), -math.cos(beta), x[4]])
-        theta1 = (self.theta1 - x[CORE : CORE + self.count]).take(index)
-        theta3 = (self.theta3 - x[CORE + self.count :]).take(index)
-        return transfer_bearing(initial, x[:3], theta1, theta3)
+        return transfer_bearing(initial, x[:3], *self._fixed(index))
+
+    def _fixed(self, index: Index) -> tuple[Array, Array]:
+        """Return the estimated bearings of some features in the initial and the target view."""
+        theta1 = self.theta1 - self.x[CORE : CORE + self.count]
+        theta3 = self.theta3 - self.x[CORE + self.count :]
+        return theta1.take(index), theta3.take(index)
+
+    def _parallax(self, index: Index) -> Array:
+        """Return the sine of the angle between features' rays in the fixed views."""
+        theta1, theta3 = self._fixed(index)
+        return np.asarray(np.sin(theta3 - theta1 + self.x[4]))
 
     def core_jacobian(self, transfer: Transfer) -> Array:
         """Return ∂ bearing/∂ core (6, M); those by the errors are −``transfer.by_bearings``."""
@@ -218,14 +221,15 @@ class TransferFilter:
         Innovation
             Bearings that are badly conditioned or contradict the state are left out.
         """
-        transfer = self.transfer(index)
         least = max(MINIMUM_PARALLAX, _PARALLAX_SIGMAS * math.sqrt(self.P[4, 4]))
-        used = np.flatnonzero(np.abs(transfer.parallax) > least)
+        used = np.flatnonzero(np.abs(self._parallax(index)) > least)
         if not len(used):
             return Innovation(0.0, used)
+        index = index[used]
+        transfer = self.transfer(index)
         core, own = self.core_jacobian(transfer), -transfer.by_bearings
-        H = _Slopes(core, own, CORE + index, CORE + self.count + index).at(used)
-        innovation = wrap_half_turn((theta2 - transfer.bearing)[used])
+        H = _Slopes(core, own, CORE + index, CORE + self.count + index)
+        innovation = wrap_half_turn(theta2[used] - transfer.bearing)
         HP = H.times(self.P)
         S = H.after(HP)
         diagonal = S.reshape(-1)[:: len(used) + 1]

@@ -248,12 +248,27 @@ def two_point_motions(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
-    """Return squared Sampson residuals (H, N) of H motions for N features."""
-    A = np.outer(np.cos(theta), a[:, 0]) - np.outer(np.sin(theta), a[:, 1])
-    B = np.outer(np.sin(alpha), b[:, 1]) - np.outer(np.cos(alpha), b[:, 0])
-    error = b[:, 2] * A + a[:, 2] * B
-    gradient = a[:, 2] ** 2 + b[:, 2] ** 2 + A * A + B * B
-    return np.asarray(error * error / np.maximum(gradient, 1e-18), dtype=np.float64)
+    """Return squared Sampson residuals (H, N) of H motions for N features.
+
+    The error is linear in the cosines and sines of both angles, its squared gradient in those of
+    twice the angles: two matrix products.
+    """
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    forth, back = np.exp(1j * theta), np.exp(1j * alpha)
+    error: Array = np.stack([forth.real, forth.imag, back.real, back.imag], axis=1) @ np.stack(
+        [bz * ax, -bz * ay, -az * bx, az * by]
+    )
+    forth, back = forth * forth, back * back
+    ones = np.ones(len(theta))
+    level = az * az + bz * bz + 0.5 * (ax * ax + ay * ay + bx * bx + by * by)
+    gradient = np.stack([ones, forth.real, forth.imag, back.real, back.imag], axis=1) @ np.stack(
+        [level, 0.5 * (ax * ax - ay * ay), -ax * ay, 0.5 * (bx * bx - by * by), -bx * by]
+    )
+    # What rounding leaves of a gradient that vanishes.
+    np.maximum(gradient, 1e-15, out=gradient)
+    error *= error
+    error /= gradient
+    return error
 
 
 def _towards_points(a: Array, b: Array, phi: float, direction: float, sigma: float) -> float:

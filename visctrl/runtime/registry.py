@@ -14,7 +14,7 @@ import inspect
 import sys
 import typing
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
@@ -119,6 +119,7 @@ def options_type(owner: type, where: str) -> type[Document]:
     return options
 
 
+@cache
 def estimate_type(estimator: type[Estimator[Any, Any]]) -> type[Estimate] | None:
     """Return what an estimator's ``update`` is declared to return, None where it is not said."""
     try:
