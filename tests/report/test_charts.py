@@ -24,7 +24,7 @@ from visctrl.report.svg import (
     round_steps,
     value_range,
 )
-from visctrl.report.topview import DrivenPath, Outline, draw_paths
+from visctrl.report.topview import DrivenPath, Outline, box_shape, disc_shape, draw_paths
 from visctrl.report.tracks import TrackHistory
 
 VALUE = st.floats(-1e6, 1e6)
@@ -183,3 +183,17 @@ def test_tracks_are_whole_and_memory_is_bounded() -> None:
         assert (np.diff(track[:, 0]) > 0).all()
     history.clear()
     assert [len(track) for track in history.of(last)] == [1, 1, 1]
+
+
+def test_obstacles_stand_where_they_are_and_fit_into_the_picture() -> None:
+    box = box_shape(1.0, 2.0, (0.4, 0.2), math.pi / 2)
+    assert np.ptp(box, axis=0) == pytest.approx([0.2, 0.4])
+    assert box.mean(axis=0) == pytest.approx([1.0, 2.0])
+    disc = disc_shape(-5.0, 0.0, 0.5)
+    assert np.hypot(*(disc - [-5.0, 0.0]).T) == pytest.approx(0.5)
+    x = np.array([0.0, 1.0])
+    path = DrivenPath("a", x, x, x, x, 0)
+    svg = draw_paths([path], None, None, [box, disc], caption="c")
+    shapes = drawn(svg, "obstacle")
+    assert len(shapes) == 2
+    assert min(u for shape in shapes for u, _ in shape) > 0.0

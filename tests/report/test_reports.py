@@ -92,6 +92,17 @@ def test_every_run_leaves_a_report_of_what_its_estimator_is(
     assert f"visctrl run {runs[scheme]}" in page
 
 
+def test_boxes_and_listed_obstacles_are_drawn_beside_the_path(tmp_path: Path) -> None:
+    disc = "{x_m: 2.0, y_m: -1.0, radius_m: 0.2}"
+    listed = f"obstacles=[{{name: listed, discs: [{disc}, {disc}]}}]"
+    directory = drive(tmp_path / "run", "scheme=pose", "camera.mount=front", listed)
+    page = (directory / "report.html").read_text(encoding="utf-8")
+    assert page.count('class="obstacle"') == 2
+    settings = ("backend=sim", "duration_s=0.3", "sim.boxes=[{x_m: 1.5, y_m: -1.0}]")
+    page = (drive(tmp_path / "sim", *settings) / "report.html").read_text(encoding="utf-8")
+    assert page.count('class="obstacle"') == 1
+
+
 def test_the_report_made_again_is_the_same(
     runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,11 +18,12 @@ from robots import load_robot
 from robots.documents import read_yaml
 from robots.errors import InputError
 from visctrl.config import to_yaml
+from visctrl.plugins import Array
 from visctrl.report.page import download, page, picture, section, tiles, verdict
 from visctrl.report.panels import Span, estimated_pose, events, main_charts, other_charts, phases
 from visctrl.report.svg import draw_chart
 from visctrl.report.ticks import Ticks, read_ticks
-from visctrl.report.topview import DrivenPath, Outline, draw_paths
+from visctrl.report.topview import DrivenPath, Outline, box_shape, disc_shape, draw_paths
 from visctrl.runtime.recorder import (
     CONFIG,
     FAULT,
@@ -61,6 +63,28 @@ class RunFiles:
             return Outline.of(robot, robot.mount(self.config["camera"]["mount"]))
         except (InputError, KeyError, TypeError):
             return None
+
+    def obstacles(self) -> list[Array]:
+        """Return the shapes (N, 2) of the boxes and listed obstacles that the scenario names."""
+        try:
+            boxes = self.config["sim"]["boxes"] if self.config["backend"] == "sim" else ()
+            shapes = [
+                box_shape(
+                    box["x_m"],
+                    box["y_m"],
+                    (box["width_m"], box["depth_m"]),
+                    math.radians(box["yaw_deg"]),
+                )
+                for box in boxes
+            ]
+            shapes += [
+                disc_shape(disc["x_m"], disc["y_m"], disc["radius_m"])
+                for provider in self.config["obstacles"]
+                for disc in provider.get("discs", ())
+            ]
+        except (KeyError, TypeError, AttributeError):
+            return []
+        return shapes
 
 
 def read_run(directory: Path) -> RunFiles:
@@ -211,7 +235,8 @@ def _path(run: RunFiles) -> str:
         paths.append(DrivenPath("estimated path", ticks.t, *pose, colour=1, dashed=True))
     target = Pose(0.0, 0.0, 0.0) if known else None
     what = "path in the target's frame" if known else "path by odometry, from where it connected"
-    return draw_paths(paths, run.outline(), target, caption=what)
+    obstacles = run.obstacles() if known else ()
+    return draw_paths(paths, run.outline(), target, obstacles, caption=what)
 
 
 def _timeline(spans: Sequence[Span]) -> str:

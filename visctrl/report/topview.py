@@ -68,8 +68,26 @@ class Outline:
         return np.stack([x, y], axis=1)
 
 
+def box_shape(x: float, y: float, size: tuple[float, float], yaw: float) -> Array:
+    """Return the corners (4, 2) of a box of width and depth (m) turned by ``yaw`` (rad)."""
+    right, forward = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]).T * np.array([size]).T
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.stack([x + c * right - s * forward, y + s * right + c * forward], axis=1)
+
+
+def disc_shape(x: float, y: float, radius: float) -> Array:
+    """Return points (36, 2) on a circle (m)."""
+    angle = np.radians(np.arange(0.0, 360.0, 10.0))
+    return np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1)
+
+
 def draw_paths(
-    paths: Sequence[DrivenPath], outline: Outline | None, target: Pose | None, *, caption: str
+    paths: Sequence[DrivenPath],
+    outline: Outline | None,
+    target: Pose | None,
+    obstacles: Sequence[Array] = (),
+    *,
+    caption: str,
 ) -> str:
     """Return a ``<figure>`` of paths seen from above, equal scales, x right and y up.
 
@@ -81,6 +99,8 @@ def draw_paths(
         Of the robot, if it is to be drawn.
     target : Pose or None
         Where it is known.
+    obstacles : sequence of (N, 2) arrays
+        Corners of what stands there (m).
     caption : str
         What is shown.
     """
@@ -89,8 +109,9 @@ def draw_paths(
     ends = [*corners, *(np.stack([path.x, path.y], axis=1) for path in paths)]
     if target is not None:
         ends.append(np.array([[target.x, target.y]]) if outline is None else outline.at(target))
-    frame = _Frame.around(np.concatenate(ends))
+    frame = _Frame.around(np.concatenate([*ends, *obstacles]))
     parts = frame.grid()
+    parts += [f'<path class="obstacle" d="{frame.path(*shape.T)}Z"/>' for shape in obstacles]
     if target is not None:
         parts += _target(frame, outline, target)
     parts += [f'<path class="outline" d="{frame.path(c[:, 0], c[:, 1])}Z"/>' for c in corners]
