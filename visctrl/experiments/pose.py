@@ -27,6 +27,7 @@ from visctrl.experiments.pose_runs import (
     noisy,
     run_traced,
     spread,
+    told_start,
 )
 
 #: Table 4.1: start (m, m, deg), magnitudes of the published means (cm, cm, deg).
@@ -141,9 +142,7 @@ def figure_4_2(bench: Bench) -> list[Row]:
 
 def exact(start: Start, seed: int) -> Job:
     """Return a run of the source's filter that is told C1."""
-    x, y, phi = start
-    known = f"estimator.start={{x_m: {x}, y_m: {y}, phi_deg: {phi}}}"
-    return noisy(start, seed, *_SOURCE, known)
+    return noisy(start, seed, *_SOURCE, told_start(start))
 
 
 def inside_row(case: str, found: Averages) -> Row:

@@ -45,6 +45,12 @@ def noisy(start: Start, seed: int, *settings: str, tau_s: float = 100.0) -> Job:
     return Job("default", simulated(start, *_NOISE, f"seed={seed}", *settings, tau_s=tau_s))
 
 
+def told_start(start: Start) -> str:
+    """Return the setting that tells the source's filter C1."""
+    x, y, phi = start
+    return f"estimator.start={{x_m: {x}, y_m: {y}, phi_deg: {phi}}}"
+
+
 class Trace(Observer):
     """Collects what `COLUMNS` names."""
 
