@@ -72,8 +72,9 @@ class Views:
     stamp : exposure time of the current frame (s).
     sigmas : returns the standard deviations (3, N) of each bearing in the target, initial and
         current view (rad), where they are known one by one: rays near the rim of an image are
-        sharper, and a target averaged over several frames is better than one frame. Few
-        estimators ask. None: ``sigma`` for all.
+        sharper, a target averaged over several frames is better than one frame, and a landmark
+        on which the fixed views disagree is less certain. Few estimators ask. None: ``sigma``
+        for all.
     """
 
     ids: NDArray[np.int64]

@@ -23,7 +23,7 @@ def transfer_errors(views: Views, initial: Pose, current: Pose) -> np.ndarray:
     """Return the errors (deg) of current bearings against those that the two others imply.
 
     Only of features with so much parallax (0.25 rad) that the noise of the other two views is
-    amplified by no more than four.
+    amplified by no more than four; NaN for the others.
     """
     u, c, w = (
         rays[:, :2] / np.linalg.norm(rays[:, :2], axis=1)[:, None]
@@ -36,7 +36,7 @@ def transfer_errors(views: Views, initial: Pose, current: Pose) -> np.ndarray:
     turned = u @ np.array([[cos, s], [-s, cos]])
     parallax = np.abs(turned[:, 0] * w[:, 1] - turned[:, 1] * w[:, 0])
     error = np.degrees(np.arcsin(np.clip((line * c).sum(axis=1) / norm, -1, 1)))
-    return np.abs(error[parallax > 0.25])
+    return np.where(parallax > 0.25, np.abs(error), np.nan)
 
 
 @pytest.mark.parametrize("name", ["hypercatadioptric", "fisheye"])
@@ -51,17 +51,23 @@ def test_tracks_on_rendered_frames_keep_to_the_three_views(name):
         klt.set_initial(backend.camera.read())
         initial = backend.truth()
         assert initial is not None
-        errors = []
+        errors, doubtful = [], []
         for tick in range(1, 13):
             backend.base.command(Velocity(1.0, -0.3))
             backend.clock.sleep_until(0.1 * tick)
             views, current = klt.update(backend.camera.read()), backend.truth()
             assert views.health is Health.OK
             assert current is not None
-            errors.append(transfer_errors(views, initial, current))
+            error = transfer_errors(views, initial, current)
+            judged = ~np.isnan(error)
+            errors.append(error[judged])
+            doubtful.append((views.bearing_sigmas()[2] > 1.5 * views.sigma)[judged])
     klt.close()
-    error = np.concatenate(errors)
+    error, doubted = np.concatenate(errors), np.concatenate(doubtful)
     assert len(error) > 200
     assert np.median(error) < 0.05
     assert np.mean(error > 0.5) <= 0.02
     assert np.hypot(current.x, current.y) < 0.75
+    # Features that are said to be less certain are.
+    assert doubted.sum() > 20
+    assert np.median(error[doubted]) > 2.0 * np.median(error[~doubted])

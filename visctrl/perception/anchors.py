@@ -49,6 +49,14 @@ class Anchors:
         self._calls = 0
         self.expect(np.arange(len(landmarks)), self._map.initial_pose)
 
+    @property
+    def disagreement(self) -> Array:
+        """How far (px) to the side the fixed views put each landmark apart; 0 if not known yet.
+
+        Patches of what is not quite the same point, or not flat, agree in one place only.
+        """
+        return np.abs(self._apart[:, 0])
+
     def expect(self, which: Indices, pose: Array) -> Array:
         """Set the warps that a pose of the current view suggests; return the rays expected."""
         rays, scale = self._map.predict(which, pose)

@@ -95,4 +95,6 @@ class Klt(NaturalPerception[KltOptions]):
         if sighting.complaint:
             return self._nothing(stamp, sighting.complaint)
         shown = tracks.best()
-        return self._views(shown.which, shown.points, sigma, stamp)
+        # Where the two fixed views disagree, a track between them moves from one to the other.
+        doubts = self._pursuit.disagreement
+        return self._views(shown.which, shown.points, sigma, stamp, doubts)

@@ -130,14 +130,25 @@ class NaturalPerception(Perception[NaturalT]):
     def _describe(self, image: Grey) -> Described:
         return describe(image, self.canvas, self.options.keypoints, MARGIN_PX)
 
-    def _views(self, which: Indices, points: Array, sigma: float, stamp: float) -> Views:
-        """Return landmarks seen at canvas points, as views; too few of them are lost."""
+    def _views(
+        self,
+        which: Indices,
+        points: Array,
+        sigma: float,
+        stamp: float,
+        doubts: Array | None = None,
+    ) -> Views:
+        """Return landmarks seen at canvas points, as views; too few of them are lost.
+
+        doubts : of every landmark, what its bearings may be off besides (rad).
+        """
         landmarks = self._landmarks
         assert landmarks is not None
         order = np.argsort(which)
         which, rays = which[order], self.canvas.rays(points[order])
         enough = len(which) >= self.options.min_features
         reason = f"{len(which)} features seen, {self.options.min_features} needed"
+        doubt = None if doubts is None else doubts[which]
         return Views(
             ids=which.astype(np.int64),
             target=landmarks.target.rays[which],
@@ -148,6 +159,7 @@ class NaturalPerception(Perception[NaturalT]):
             stamp=stamp,
             health=Health.OK if enough else Health.LOST,
             reason="" if enough else reason,
+            sigmas=None if doubt is None else lambda: np.tile(np.hypot(sigma, doubt), (3, 1)),
         )
 
     def _nothing(self, stamp: float, reason: str) -> Views:

@@ -103,6 +103,11 @@ class Pursuit:
         """Standard deviation of a bearing (rad), from how well the tracks agree."""
         return self._sigma
 
+    @property
+    def disagreement(self) -> Array:
+        """How far (rad) the fixed views put every landmark apart (see `Anchors`)."""
+        return self._anchors.disagreement / self._canvas.scale
+
     def close(self) -> None:
         """End the thread of the search."""
         self._search.close()
