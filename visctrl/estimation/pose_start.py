@@ -36,6 +36,8 @@ MINIMUM_FEATURES = 5
 #: Sine of the angle between a feature's rays in the initial and target view below which the
 #: noise of those two decides where the feature is.
 MINIMUM_PARALLAX = 0.12
+#: Of the places to begin from, how many are gone on with after a few steps, and how many steps.
+_FINALISTS, _FIRST_STEPS = 8, 2
 #: Two starts whose angles (rad) and scales differ by less lead to the same solution.
 _SAME = 1e-3
 #: Beyond this many standard deviations a bearing is an error, not noise.
@@ -51,7 +53,8 @@ class Start:
     turn : heading at the end of the leg less the dead-reckoned one (rad).
     errors : (2, N) errors of the bearings in the initial and the target view (rad).
     covariance : (4 + 2N, 4 + 2N), of (β, φ1, q, turn, e1 of all, e3 of all features).
-    used : (N,) features that agree with the solution.
+    tested : (N,) features with so much parallax that the solution can be tested on them.
+    used : (N,) those that agree with it.
     cost : half the sum of squared normalised residuals.
     rival : cost of the best solution that is clearly another one, less ``cost``.
     """
@@ -62,6 +65,7 @@ class Start:
     turn: float
     errors: Array
     covariance: Array
+    tested: Mask
     used: Mask
     cost: float
     rival: float
@@ -77,7 +81,7 @@ class Start:
         return bool(np.isfinite(self.covariance).all()) and self.q > 0.0
 
 
-def solve_leg(leg: Leg, previous: Start | None = None, starts: int = 8) -> Start | None:
+def solve_leg(leg: Leg, previous: Start | None = None, starts: int = 24) -> Start | None:
     """Return the most probable start of a leg, or None when too little was seen.
 
     Parameters
@@ -98,20 +102,22 @@ def solve_leg(leg: Leg, previous: Start | None = None, starts: int = 8) -> Start
         return None
     at = Candidates.of(base, coarse)
     # Far from the solution, features near the baseline of the fixed views lead astray.
-    at, cost = descend(coarse, at, _weights(coarse, at, 3.0 * MINIMUM_PARALLAX), iterations=8)
+    weight = _weights(coarse, at, 3.0 * MINIMUM_PARALLAX)
+    at, cost = descend(coarse, at, weight, iterations=_FIRST_STEPS)
+    best = np.argsort(cost + _left_out(coarse, weight))[:_FINALISTS]
+    at, cost = descend(coarse, at.take(best), weight[best], iterations=8)
     at = at.take(_distinct(at.common, cost))
     weight = _weights(coarse, at)
     at, cost = descend(coarse, at, weight, iterations=20)
-    # Rows left out count as if they fitted as well as noise does.
-    cost = cost + 0.5 * np.sum(seen(coarse) - weight, axis=(1, 2))
+    cost = cost + _left_out(coarse, weight)
     good = (at.common[:, 2] > 0.0) & np.isfinite(cost)
     good &= in_front(leg.theta1, leg.theta3, at.common)
     if not good.any():
         return None
     cost = np.where(good, cost, np.inf)
-    best = int(np.argmin(cost))
-    rival = _rival(at.common, cost, best)
-    return _finish(leg, Candidates.of(at.common[[best], :BASE], leg), rival)
+    first = int(np.argmin(cost))
+    rival = _rival(at.common, cost, first)
+    return _finish(leg, Candidates.of(at.common[[first], :BASE], leg), rival)
 
 
 def _distinct(common: Array, cost: Array) -> NDArray[np.intp]:
@@ -140,6 +146,11 @@ def _weights(leg: Leg, at: Candidates, minimum: float = MINIMUM_PARALLAX) -> Arr
     return np.asarray(seen(leg) * well, dtype=np.float64)
 
 
+def _left_out(leg: Leg, weight: Array) -> Array:
+    """Return the cost (S,) of bearings left out: as if they fitted as well as noise does."""
+    return np.asarray(0.5 * np.sum(seen(leg) - weight, axis=(1, 2)))
+
+
 def _rival(common: Array, cost: Array, best: int) -> float:
     """Return by how much the cost of the nearest competitor exceeds the best one."""
     base = common[:, :BASE].tolist()
@@ -154,6 +165,7 @@ def _rival(common: Array, cost: Array, best: int) -> float:
 def _finish(leg: Leg, at: Candidates, rival: float) -> Start:
     """Settle on all frames, drop what disagrees, and return the solution with its covariance."""
     weight = _weights(leg, at)
+    tested = weight[0].any(axis=0)
     at, _ = descend(leg, at, weight, iterations=10)
     for _ in range(2):
         residual, _, _ = residuals(leg, at)
@@ -173,6 +185,7 @@ def _finish(leg: Leg, at: Candidates, rival: float) -> Start:
         turn=float(at.common[0, last]),
         errors=errors,
         covariance=covariance(normal, np.array([0, 1, 2, last])),
+        tested=tested,
         used=used,
         cost=float(normal.cost[0]),
         rival=rival,

@@ -159,7 +159,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
 
     def _settled(self, start: Start) -> bool:
         """Return whether the leg tells the start well enough, or as well as it ever will."""
-        if not start.finite or 2 * start.used.sum() < len(start.used):
+        if not start.finite or 2 * start.used.sum() < start.tested.sum():
             return False
         if self._leg.travelled >= self.options.leg_max_m:
             return start.relative_scale_sd < 0.3
@@ -169,7 +169,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         way = f"the first {self._leg.travelled:.1f} m did not tell where the target is"
         if self._start is None:
             return f"{way}: too few features, or no start agrees with them"
-        used = f"{int(self._start.used.sum())} of {len(self._start.used)} features agree"
+        used = f"{int(self._start.used.sum())} of {int(self._start.tested.sum())} features agree"
         return f"{way}: {used}, distance known to {100.0 * self._start.relative_scale_sd:.0f} %"
 
     # --- filtering ---------------------------------------------------------------------------
