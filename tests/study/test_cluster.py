@@ -124,3 +124,18 @@ def test_a_cluster_gives_the_table_that_one_process_gives(
         threading.Timer(0.5, dask.scheduler.kill).start()
         with pytest.raises(ClusterError, match="is gone; what is finished is kept"):
             list(workers.each(study_work.squared, [1]))
+
+
+def test_a_scheduler_that_mixes_up_its_greeting_is_asked_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One that is losing a worker at that moment does."""
+    answers: list[BaseException] = [AssertionError(), AssertionError(), TimeoutError("silence")]
+
+    def client(address: str, **options: object) -> None:
+        raise answers.pop(0)
+
+    monkeypatch.setattr("distributed.Client", client)
+    with pytest.raises(InputError, match="no Dask scheduler answers: silence"):
+        ClusterWorkers("tcp://127.0.0.1:1")
+    assert answers == []

@@ -26,7 +26,7 @@ def alive(pid: int) -> bool:
     """Return whether a process runs (one that waits for its parent to take note does not)."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return False
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from hal.errors import DeviceError
@@ -17,6 +18,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 CONNECT_S = 10.0
+#: How often a client greets a scheduler that mixes up its answer.
+_GREETINGS = 3
 #: Items under way at a time: enough for any cluster, and for workers that join later.
 _WINDOW = 2000
 _NO_MORE: Any = object()
@@ -58,8 +61,7 @@ class ClusterWorkers:
             # Checked here first: a client that fails on it takes long to give up.
             split: Any = addressing.get_address_host_port
             split(address)
-            connect: Any = distributed.Client
-            self._client = connect(address, timeout=CONNECT_S, set_as_default=False)
+            self._client = _connected(distributed.Client, address)
         except (OSError, TimeoutError, ValueError, TypeError, ImportError) as error:
             raise InputError(f"--cluster {address}: no Dask scheduler answers: {error}") from None
         try:
@@ -134,6 +136,18 @@ def _worker_versions() -> dict[str, str]:
     """Return the versions on a worker, and keep it to one thread a run from here on."""
     limit_all()
     return versions()
+
+
+def _connected(client: Any, address: str) -> Any:
+    """Return a client of the scheduler at ``address``.
+
+    A scheduler that is just then losing a worker says so in the message in which the client
+    expects a greeting alone, and the client gives up: it has to ask again.
+    """
+    for _ in range(_GREETINGS - 1):
+        with suppress(AssertionError):
+            return client(address, timeout=CONNECT_S, set_as_default=False)
+    return client(address, timeout=CONNECT_S, set_as_default=False)
 
 
 def _compare(address: str, found: dict[str, Any]) -> None:
