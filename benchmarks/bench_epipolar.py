@@ -24,15 +24,15 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hal.central_camera import CentralCamera, load_camera
-from hal.mock_scene import seen_from
-from hal.types import Pose, Velocity
-from robots.unicycle import step_exact, wrap_angle
-from visctrl.control.epipolar_smooth import EpipolarSmooth, EpipolarSmoothOptions
-from visctrl.estimation.epipoles import Epipoles, EpipolesOptions
-from visctrl.geometry.epipolar_planar import ransac_planar_epipoles
-from visctrl.geometry.epipolar_robust import robust_essential, robust_fundamental
-from visctrl.plugins import Context, Views
+from visctrl.contracts import Context, Views
+from visctrl.geometry.two_view.planar_uncalibrated import ransac_planar_epipoles
+from visctrl.geometry.two_view.robust_matrices import robust_essential, robust_fundamental
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.mock.scene import seen_from
+from visctrl.hal.types import Pose, Velocity
+from visctrl.robots.unicycle import step_exact, wrap_angle
+from visctrl.schemes.epipolar.estimator import Epipoles, EpipolesOptions
+from visctrl.schemes.epipolar.law_smooth import EpipolarSmooth, EpipolarSmoothOptions
 
 Array = NDArray[np.float64]
 CAMERA = load_camera("perspective")

@@ -23,16 +23,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hal.central_camera import load_camera
-from hal.types import Pose
-from robots.unicycle import to_rep103
-from sim.drawers import DrawerName, drawer_problem, open_renderer
-from sim.drawn import DrawnScene, TextureFiles
-from sim.engine import connect, disconnect, pybullet
-from sim.imaging import Sensor
-from sim.options import SimOptions
-from sim.renderer import Renderer
-from sim.scene import load_scene
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.types import Pose
+from visctrl.robots.unicycle import to_rep103
+from visctrl.sim.options import SimOptions
+from visctrl.sim.render.drawn import DrawnScene, TextureFiles
+from visctrl.sim.render.imaging import Sensor
+from visctrl.sim.render.renderer import Renderer
+from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem, open_renderer
+from visctrl.sim.world.engine import connect, disconnect, pybullet
+from visctrl.sim.world.scene import load_scene
 
 RENDERERS: tuple[DrawerName, ...] = ("tiny", "gl")
 CAMERAS = ("hypercatadioptric", "paracatadioptric", "fisheye")

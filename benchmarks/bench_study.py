@@ -25,13 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from two_cores import machine_ratio
 
-from visctrl.config import to_yaml
-from visctrl.experiments.study_log import StudyLog
-from visctrl.experiments.study_runs import run_study, table_rows
-from visctrl.experiments.study_table import write_table
-from visctrl.experiments.trials import load_study
-from visctrl.experiments.workers import LocalWorkers
+from visctrl.runtime.config import to_yaml
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.study.log import StudyLog
+from visctrl.study.runner import run_study, table_rows
+from visctrl.study.table import write_table
+from visctrl.study.trials import load_study
+from visctrl.study.workers import LocalWorkers
 
 RUNS, ROUNDS = 100, 3
 SETTINGS = {

@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from hal.types import Frame, Pose, Velocity
-from robots import load_robot
-from sim.backend import SimBackend
-from sim.options import SimOptions
-from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
+from visctrl.contracts import Context
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.types import Frame, Pose, Velocity
 from visctrl.perception.klt import Klt, KltOptions
-from visctrl.plugins import Context
+from visctrl.robots import load_robot
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.law_smc import TrifocalSmc, TrifocalSmcOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
+from visctrl.sim.backend import SimBackend
+from visctrl.sim.options import SimOptions
 
 T = TypeVar("T")
 START = Pose(-0.5, -2.4, np.radians(-12.0))

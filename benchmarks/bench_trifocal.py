@@ -24,19 +24,19 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hal.central_camera import CentralCamera, load_camera
-from hal.mock_scene import seen_from
-from hal.types import Pose, Velocity
-from robots.unicycle import step_exact
-from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
-from visctrl.geometry.planar import ransac_planar_motion
-from visctrl.geometry.trifocal import CALIBRATED, trilinear
-from visctrl.geometry.trifocal_fit import refine
-from visctrl.geometry.trifocal_motion import motions_of_tensor, share_in_front
-from visctrl.geometry.trifocal_solvers import ransac
-from visctrl.plugins import Context, Views
+from visctrl.contracts import Context, Views
+from visctrl.geometry.trifocal.fit import refine
+from visctrl.geometry.trifocal.motions import motions_of_tensor, share_in_front
+from visctrl.geometry.trifocal.solvers import ransac
+from visctrl.geometry.trifocal.tensor import CALIBRATED, trilinear
+from visctrl.geometry.two_view.planar import ransac_planar_motion
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.mock.scene import seen_from
+from visctrl.hal.types import Pose, Velocity
+from visctrl.robots.unicycle import step_exact
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.law_smc import TrifocalSmc, TrifocalSmcOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 Array = NDArray[np.float64]
 NOISE_PX = 0.5

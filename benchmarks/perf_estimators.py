@@ -14,8 +14,8 @@ import pytest
 from bench_epipolar import CAMERA, NOISE_PX, OUTLIERS, Array, bearing_error, methods, picture, scene
 from paired import paired
 
-from hal.types import Pose
-from visctrl.geometry.planar import ransac_planar_motion
+from visctrl.geometry.two_view.planar import ransac_planar_motion
+from visctrl.hal.types import Pose
 
 TRIALS, FEATURES = 40, 100
 REFERENCE = "OpenCV E MAGSAC"

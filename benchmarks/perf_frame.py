@@ -11,14 +11,14 @@ import pytest
 from bench_render import CAMERAS, Draw, camera_frames, plain_frames
 from paired import paired
 
-from hal.types import Pose
-from sim.drawers import DrawerName, drawer_problem
-from sim.engine import disconnect
-from sim.options import SimOptions
-from visctrl.config import load_scenario, parse_setting
+from visctrl.hal.types import Pose
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
+from visctrl.sim.options import SimOptions
+from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem
+from visctrl.sim.world.engine import disconnect
 
 ROUNDS = 10
 RUNS = 3

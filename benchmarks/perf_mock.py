@@ -13,18 +13,18 @@ import pytest
 from paired import ADDITIONS, additions, paired
 from two_cores import machine_ratio
 
-from visctrl.config import load_scenario, parse_setting
-from visctrl.experiments.jobs import Job, run_jobs
-from visctrl.experiments.study_log import StudyLog
-from visctrl.experiments.study_runs import run_study, table_rows
-from visctrl.experiments.study_table import Row, write_table
-from visctrl.experiments.trials import load_study
-from visctrl.experiments.workers import Results
 from visctrl.montecarlo.drive import Ending, drive_many
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
+from visctrl.study.jobs import Job, run_jobs
+from visctrl.study.log import StudyLog
+from visctrl.study.runner import run_study, table_rows
+from visctrl.study.table import Row, write_table
+from visctrl.study.trials import load_study
+from visctrl.study.workers import Results
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -13,10 +13,10 @@ import pytest
 from bench_tick import PERIOD_S, VELOCITY, bare_tracking, drive
 from paired import paired
 
-from hal.types import Frame
-from visctrl.config import load_scenario, parse_setting
+from visctrl.contracts import Controller, Estimator
+from visctrl.hal.types import Frame
 from visctrl.perception.klt import Klt
-from visctrl.plugins import Controller, Estimator
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
 

@@ -17,10 +17,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hal.central_camera import camera_names, load_camera
-from hal.types import Pose
-from sim.accuracy import CornerErrors, checker_room, measure_corners
-from sim.drawers import DRAWERS, DrawerName, drawer_problem, open_renderer
+from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.hal.types import Pose
+from visctrl.sim.render.accuracy import CornerErrors, checker_room, measure_corners
+from visctrl.sim.render.renderer_choice import DRAWERS, DrawerName, drawer_problem, open_renderer
 
 BOUND_PX = 0.2
 

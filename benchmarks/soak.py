@@ -28,7 +28,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from visctrl.config import scenario_from
+from visctrl.runtime.config import scenario_from
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import REGISTRIES

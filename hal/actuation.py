@@ -11,9 +11,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hal.types import STANDSTILL, Velocity
-from robots import Limits
-from robots.documents import Document
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots import Limits
+from visctrl.robots.documents import Document
 
 _MM = 1000.0
 #: Times this close (s) are the same instant.

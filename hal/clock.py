@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from hal.interfaces import Clock
+from visctrl.hal.interfaces import Clock
 
 
 class WallClock(Clock):

@@ -1,6 +1,6 @@
 """The error tree of the hardware layer. Vendor errors are wrapped, never leaked."""
 
-from robots.errors import InputError, VisctrlError
+from visctrl.robots.errors import InputError, VisctrlError
 
 __all__ = [
     "BaseFaultError",

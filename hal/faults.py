@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from hal.errors import LinkError
-from hal.types import Features, Frame
-from robots.documents import Document
+from visctrl.hal.errors import LinkError
+from visctrl.hal.types import Features, Frame
+from visctrl.robots.documents import Document
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
-from hal.central_camera import CentralCamera
-from hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
-from robots import Robot
-from robots.documents import Document
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
+from visctrl.robots import Robot
+from visctrl.robots.documents import Document
 
 _NOTHING_TO_REPORT = BaseStatus()
 

@@ -12,7 +12,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from robots.errors import InputError
+from visctrl.robots.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 

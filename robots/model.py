@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robots.documents import Document, load, suggestion
-from robots.errors import InputError
+from visctrl.robots.documents import Document, load, suggestion
+from visctrl.robots.errors import InputError
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -112,13 +112,13 @@ class Robot(Document):
 
     def urdf(self) -> Traversable:
         """Return the robot's URDF file (package data)."""
-        return resources.files("robots") / self.name / "robot.urdf"
+        return resources.files("visctrl.robots") / self.name / "robot.urdf"
 
 
 @cache
 def robot_names() -> tuple[str, ...]:
     """Return the names of the robots that this package holds."""
-    folders = resources.files("robots").iterdir()
+    folders = resources.files("visctrl.robots").iterdir()
     return tuple(sorted(f.name for f in folders if f.is_dir() and (f / "robot.yaml").is_file()))
 
 
@@ -133,4 +133,4 @@ def load_robot(name: str) -> Robot:
     """
     if name not in robot_names():
         raise InputError(f"unknown robot '{name}'; {suggestion(name, robot_names())}")
-    return load(resources.files("robots") / name / "robot.yaml", Robot)
+    return load(resources.files("visctrl.robots") / name / "robot.yaml", Robot)

@@ -6,23 +6,23 @@ from typing import ClassVar
 
 import numpy as np
 
-from hal.actuation import Actuation
-from hal.central_camera import CentralCamera
-from hal.clock import WallClock, WorldClock
-from hal.errors import CameraError, LinkError
-from hal.faults import FaultyCapture, check_link
-from hal.interfaces import Backend, Base, Camera
-from hal.pioneer.subclasses import ring_of
-from hal.types import Frame, Odometry, Pose, Range, Velocity
-from robots import Limits, Robot
-from robots.documents import Document
-from robots.model import Mount
-from sim.drawers import open_renderer
-from sim.imaging import Sensor
-from sim.options import SimOptions
-from sim.physics import Physics
-from sim.scene import Item, Scene, load_scene
-from sim.world import World
+from visctrl.hal.actuation import Actuation
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.clock import WallClock, WorldClock
+from visctrl.hal.errors import CameraError, LinkError
+from visctrl.hal.faults import FaultyCapture, check_link
+from visctrl.hal.interfaces import Backend, Base, Camera
+from visctrl.hal.pioneer.subclasses import ring_of
+from visctrl.hal.types import Frame, Odometry, Pose, Range, Velocity
+from visctrl.robots import Limits, Robot
+from visctrl.robots.documents import Document
+from visctrl.robots.model import Mount
+from visctrl.sim.options import SimOptions
+from visctrl.sim.render.imaging import Sensor
+from visctrl.sim.render.renderer_choice import open_renderer
+from visctrl.sim.world.physics import Physics
+from visctrl.sim.world.scene import Item, Scene, load_scene
+from visctrl.sim.world.world import World
 
 _TARGET = Pose(0.0, 0.0, 0.0)
 

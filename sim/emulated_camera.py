@@ -16,14 +16,14 @@ from multiprocessing.sharedctypes import Synchronized, SynchronizedArray
 from types import TracebackType
 from typing import Self
 
-from hal.central_camera import CentralCamera
-from hal.errors import CameraError
-from hal.pioneer.emulator.stream import MjpegServer
-from hal.types import Pose
-from robots.errors import VisctrlError
-from robots.model import Mount
-from robots.unicycle import step_exact
-from sim.options import RendererName
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.emulator.stream import MjpegServer
+from visctrl.hal.errors import CameraError
+from visctrl.hal.types import Pose
+from visctrl.robots.errors import VisctrlError
+from visctrl.robots.model import Mount
+from visctrl.robots.unicycle import step_exact
+from visctrl.sim.options import RendererName
 
 _START_S = 120.0
 _JOIN_S = 3.0
@@ -45,7 +45,7 @@ class CameraSpec:
     """What to stream.
 
     scene : its name, or its file. camera : what the pictures are made with. mount : where it
-    sits. renderer : as in `sim.options.SimOptions`. image_noise : grey levels (standard
+    sits. renderer : as in `visctrl.sim.options.SimOptions`. image_noise : grey levels (standard
     deviation). fps : pictures per second. port : TCP port on loopback, 0 for a free one.
     """
 
@@ -166,9 +166,9 @@ class _Studio:
     """Takes pictures. The drawing libraries are imported in this process only."""
 
     def __init__(self, spec: CameraSpec) -> None:
-        from sim.drawers import open_renderer
-        from sim.imaging import Sensor
-        from sim.scene import load_scene
+        from visctrl.sim.render.imaging import Sensor
+        from visctrl.sim.render.renderer_choice import open_renderer
+        from visctrl.sim.world.scene import load_scene
 
         camera = spec.camera
         self._mount = spec.mount

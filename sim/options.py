@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from hal.actuation import ActuationOptions
-from hal.faults import Faults
-from robots.documents import Document
-from sim.scene_files import check_scene_name
+from visctrl.hal.actuation import ActuationOptions
+from visctrl.hal.faults import Faults
+from visctrl.robots.documents import Document
+from visctrl.sim.world.scene_files import check_scene_name
 
 RendererName = Literal["auto", "tiny", "egl", "gl"]
 NotNegative = Annotated[float, Field(ge=0.0)]

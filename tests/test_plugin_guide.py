@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from robots.errors import InputError
-from visctrl.config import load_scenario, parse_setting
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session

@@ -14,26 +14,26 @@ import serial
 from numpy.typing import NDArray
 from virtual_time import VirtualTime
 
-import hal.capture
-import hal.clock
-import hal.pioneer.base
-import hal.pioneer.emulator.emulator
-import hal.pioneer.link
+import visctrl.hal.cameras.capture
+import visctrl.hal.clock
+import visctrl.hal.emulator.emulator
+import visctrl.hal.pioneer.base
+import visctrl.hal.pioneer.link
 import visctrl.runtime.watchdog
-from hal.pioneer.emulator.character import ARCOS, Personality, character
-from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.firmware import Firmware
-from hal.pioneer.emulator.ports import Port
-from hal.pioneer.emulator.world import World
-from hal.types import Velocity
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.hal.emulator.firmware import Firmware
+from visctrl.hal.emulator.firmware_profile import ARCOS, Personality, character
+from visctrl.hal.emulator.ports import Port
+from visctrl.hal.emulator.world import World
+from visctrl.hal.types import Velocity
 
 #: Where code keeps time that simulated time must reach.
 _MODULES: tuple[ModuleType, ...] = (
-    hal.capture,
-    hal.clock,
-    hal.pioneer.base,
-    hal.pioneer.emulator.emulator,
-    hal.pioneer.link,
+    visctrl.hal.cameras.capture,
+    visctrl.hal.clock,
+    visctrl.hal.pioneer.base,
+    visctrl.hal.emulator.emulator,
+    visctrl.hal.pioneer.link,
     visctrl.runtime.watchdog,
 )
 _CHUNK = 4096

@@ -6,18 +6,18 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from hal.capture import CaptureCamera, CaptureOptions
-from hal.central_camera import CentralCamera
-from hal.clock import WallClock
-from hal.errors import InputError
-from hal.interfaces import Backend
-from hal.pioneer.base import PioneerBase
-from hal.pioneer.handshake import BAUDS
-from hal.pioneer.subclasses import ring_of
-from hal.types import Pose
-from robots import Limits, Robot
-from robots.documents import Document
-from robots.model import Mount
+from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.clock import WallClock
+from visctrl.hal.errors import InputError
+from visctrl.hal.interfaces import Backend
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.pioneer.handshake import BAUDS
+from visctrl.hal.pioneer.subclasses import ring_of
+from visctrl.hal.types import Pose
+from visctrl.robots import Limits, Robot
+from visctrl.robots.documents import Document
+from visctrl.robots.model import Mount
 
 
 class PioneerOptions(Document):

@@ -13,15 +13,15 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 
-from hal.actuation import bounded, quantised
-from hal.errors import BaseFaultError, DeviceError, InputError, LinkError
-from hal.interfaces import Base, Clock
-from hal.pioneer.commands import Command, Id
-from hal.pioneer.config import Config, decode_config
-from hal.pioneer.handshake import BAUDS, connect
-from hal.pioneer.link import Link
-from hal.pioneer.packet import Packet
-from hal.pioneer.reports import (
+from visctrl.hal.actuation import bounded, quantised
+from visctrl.hal.errors import BaseFaultError, DeviceError, InputError, LinkError
+from visctrl.hal.interfaces import Base, Clock
+from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.pioneer.config import Config, decode_config
+from visctrl.hal.pioneer.handshake import BAUDS, connect
+from visctrl.hal.pioneer.link import Link
+from visctrl.hal.pioneer.packet import Packet
+from visctrl.hal.pioneer.reports import (
     RESET_TYPES,
     Identity,
     ReportError,
@@ -29,11 +29,11 @@ from hal.pioneer.reports import (
     decode_standard_report,
     is_standard_report,
 )
-from hal.pioneer.settings import REST, settings
-from hal.pioneer.subclasses import find_subclass
-from hal.pioneer.telemetry import Telemetry
-from hal.types import STANDSTILL, BaseStatus, Odometry, Range, Velocity
-from robots import Limits
+from visctrl.hal.pioneer.settings import REST, settings
+from visctrl.hal.pioneer.subclasses import find_subclass
+from visctrl.hal.pioneer.telemetry import Telemetry
+from visctrl.hal.types import STANDSTILL, BaseStatus, Odometry, Range, Velocity
+from visctrl.robots import Limits
 
 #: Without a report for so long, the robot is stopped: three reports in a row are missing.
 BLIND_S = 0.35

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from hal.pioneer.packet import MAX_SENT_COUNT, Packet
+from visctrl.hal.pioneer.packet import MAX_SENT_COUNT, Packet
 
 #: Type bytes before an argument. The sign of an integer is carried here, not in two's complement.
 POSITIVE, NEGATIVE, TEXT = 0x3B, 0x1B, 0x2B

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hal.pioneer.fields import Fields, coded
-from hal.pioneer.packet import Packet
-from hal.pioneer.reports import ReportError, Type
+from visctrl.hal.pioneer.fields import Fields, coded
+from visctrl.hal.pioneer.packet import Packet
+from visctrl.hal.pioneer.reports import ReportError, Type
 
 #: Simulators write this where a real controller has its hardest limit.
 UNLIMITED = 9999

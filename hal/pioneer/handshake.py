@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 
-from hal.errors import LinkError
-from hal.pioneer.commands import Command, Id
-from hal.pioneer.link import Link
-from hal.pioneer.packet import Packet
-from hal.pioneer.reports import (
+from visctrl.hal.errors import LinkError
+from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.pioneer.link import Link
+from visctrl.hal.pioneer.packet import Packet
+from visctrl.hal.pioneer.reports import (
     SYNC_TYPES,
     Identity,
     ReportError,

@@ -12,10 +12,10 @@ from urllib.parse import urlsplit
 
 import serial
 
-from hal.errors import LinkError
-from hal.interfaces import Clock
-from hal.pioneer.commands import Command
-from hal.pioneer.packet import Packet, StreamDecoder
+from visctrl.hal.errors import LinkError
+from visctrl.hal.interfaces import Clock
+from visctrl.hal.pioneer.commands import Command
+from visctrl.hal.pioneer.packet import Packet, StreamDecoder
 
 #: Least time between two commands (s). The firmware reads one per millisecond interrupt and the
 #: manual asks for 3 to 5 ms; the margin covers what the way to the robot adds or takes.

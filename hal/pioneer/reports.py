@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-from hal.pioneer.fields import Fields, coded
-from hal.pioneer.packet import Packet
+from visctrl.hal.pioneer.fields import Fields, coded
+from visctrl.hal.pioneer.packet import Packet
 
 
 class Type(IntEnum):

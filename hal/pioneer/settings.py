@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from hal.pioneer.commands import Command, Id
-from hal.pioneer.config import UNLIMITED, Config
-from robots import Limits
+from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.pioneer.config import UNLIMITED, Config
+from visctrl.robots import Limits
 
 #: Set-points of zero.
 REST = (Command(Id.VEL, 0), Command(Id.RVEL, 0))

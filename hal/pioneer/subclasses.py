@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hal.errors import LinkError
-from robots.documents import suggestion
+from visctrl.hal.errors import LinkError
+from visctrl.robots.documents import suggestion
 
 #: Heading units to radians. The parameter files print it rounded to 0.00153, which makes an
 #: error of 0.26 %: a turn has exactly 4096 units.

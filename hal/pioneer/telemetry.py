@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hal.pioneer.config import Config
-from hal.pioneer.reports import Flags, StandardReport
-from hal.pioneer.subclasses import HEADING_RAD, NO_ECHO_M, Subclass
-from hal.types import STANDSTILL, BaseStatus, Odometry, Pose, Range, Velocity
+from visctrl.hal.pioneer.config import Config
+from visctrl.hal.pioneer.reports import Flags, StandardReport
+from visctrl.hal.pioneer.subclasses import HEADING_RAD, NO_ECHO_M, Subclass
+from visctrl.hal.types import STANDSTILL, BaseStatus, Odometry, Pose, Range, Velocity
 
 #: Every firmware's position counter wraps at a multiple of this (15, 16 or more bits).
 _POSITION_WRAP = 1 << 15

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from views import board_image, save
 
-from hal.camera_files import read_camera
-from hal.central_camera import CentralCamera, load_camera
-from robots.errors import InputError
-from sim.board_images import facing
 from visctrl.calibration.boards import Board, Corners
 from visctrl.calibration.camera import Sight, calibrate
 from visctrl.cli.main import main
-from visctrl.experiments.calibration import ray_errors_deg
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.files import read_camera
+from visctrl.reproduce.calibration import ray_errors_deg
+from visctrl.robots.errors import InputError
+from visctrl.sim.render.board_images import facing
 
 BOARD = Board("checkerboard", 8, 6, 0.05)
 CAMERAS = ("perspective", "hypercatadioptric", "paracatadioptric", "fisheye")

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from views import save
 
-from hal.camera_files import read_camera
-from hal.central_camera import load_camera
-from hal.types import Pose
-from robots.errors import InputError
-from sim.board_images import photographed
-from sim.renderer import BulletRenderer
-from sim.scene import load_scene
 from visctrl.calibration.centre import find_centre
 from visctrl.calibration.edges import find_segments
 from visctrl.cli.main import main
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.files import read_camera
+from visctrl.hal.types import Pose
+from visctrl.robots.errors import InputError
+from visctrl.sim.render.board_images import photographed
+from visctrl.sim.render.renderer import BulletRenderer
+from visctrl.sim.world.scene import load_scene
 
 SIZE = (800, 600)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hal.central_camera import CentralCamera
-from sim.board_images import hold
 from visctrl.calibration.boards import Board
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.sim.render.board_images import hold
 
 
 def board_image(

@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from hal.types import Frame, Pose, Velocity
-from robots.documents import Document
-from robots.unicycle import step_exact
-from visctrl.estimation.pose_estimate import PoseEstimate
-from visctrl.plugins import Estimator, Health, Match, Perception, Views
+from visctrl.contracts import Estimator, Health, Match, Perception, Views
+from visctrl.hal.types import Frame, Pose, Velocity
+from visctrl.robots.documents import Document
+from visctrl.robots.unicycle import step_exact
+from visctrl.schemes.pose.estimate import PoseEstimate
 
 
 class BlindOptions(Document):

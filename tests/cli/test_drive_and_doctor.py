@@ -17,18 +17,18 @@ import pytest
 import yaml
 from virtual_robot import Site
 
-from hal.central_camera import CentralCamera
-from hal.clock import WallClock
-from hal.errors import LinkError
-from hal.pioneer.base import PioneerBase
-from hal.pioneer.emulator.character import character
-from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.firmware import Firmware
-from hal.pioneer.emulator.ports import PtyPort
-from hal.types import STANDSTILL, Velocity
-from robots import load_robot
 from visctrl.cli.drive import Hand, split_keys
 from visctrl.cli.main import main
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.clock import WallClock
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.hal.emulator.firmware import Firmware
+from visctrl.hal.emulator.firmware_profile import character
+from visctrl.hal.emulator.ports import PtyPort
+from visctrl.hal.errors import LinkError
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots import load_robot
 
 ROOT = Path(__file__).parents[2]
 CAMERA = "http://camera/stream.mjpg"

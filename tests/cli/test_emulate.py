@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from hal.clock import WallClock
-from hal.pioneer.base import PioneerBase
-from hal.types import Velocity
-from robots import load_robot
 from visctrl.cli.main import main
+from visctrl.hal.clock import WallClock
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.types import Velocity
+from visctrl.robots import load_robot
 
 ROOT = Path(__file__).parents[2]
 

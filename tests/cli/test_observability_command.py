@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from robots.errors import InputError
 from visctrl.cli.observability import observability
+from visctrl.robots.errors import InputError
 
 
 def judge(*outputs: str, start: tuple[float, float, float] | None = (-8.0, -12.0, -20.0)) -> int:

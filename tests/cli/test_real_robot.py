@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 from virtual_robot import Site
 
-from hal.central_camera import CentralCamera
-from hal.pioneer.commands import Command, Id, decode_command
-from hal.pioneer.emulator.character import SIMULATOR, Personality
-from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.firmware import STEP_S
-from hal.pioneer.emulator.world import Room
-from hal.pioneer.subclasses import SUBCLASSES
-from hal.types import STANDSTILL
 from visctrl.cli.main import main
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.hal.emulator.firmware import STEP_S
+from visctrl.hal.emulator.firmware_profile import SIMULATOR, Personality
+from visctrl.hal.emulator.world import Room
+from visctrl.hal.pioneer.commands import Command, Id, decode_command
+from visctrl.hal.pioneer.subclasses import SUBCLASSES
+from visctrl.hal.types import STANDSTILL
 from visctrl.runtime.registry import REGISTRIES
-from visctrl.target_view import TargetView, load_target
+from visctrl.runtime.target_view import TargetView, load_target
 
 ROOT = Path(__file__).parents[2]
 MODEL = CentralCamera(

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from virtual_robot import Site
 
-from hal.central_camera import load_camera
-from hal.pioneer.emulator.emulator import Emulator
 from visctrl.cli.main import main
-from visctrl.target_view import load_target
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.runtime.target_view import load_target
 
 CAMERA = load_camera("perspective").resized(400, 300)
 Teach = Callable[..., tuple[int, str, str]]

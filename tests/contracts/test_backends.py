@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from hal.errors import LinkError
-from hal.interfaces import Backend
-from hal.types import STANDSTILL, Velocity
-from visctrl.config import Override, load_scenario
+from visctrl.hal.errors import LinkError
+from visctrl.hal.interfaces import Backend
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 

@@ -8,13 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from hal.central_camera import load_camera
-from hal.types import Pose, Range
-from robots import load_robot
-from robots.documents import Document
-from visctrl.estimation.pose_estimate import Need, PoseEstimate
-from visctrl.plugins import Context, Estimate, Health, Obstacle, Plugin, Signal
+from visctrl.contracts import Context, Estimate, Health, Obstacle, Plugin, Signal
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.types import Pose, Range
+from visctrl.robots import load_robot
+from visctrl.robots.documents import Document
 from visctrl.runtime.registry import REGISTRIES, Registry, estimate_type, options_type
+from visctrl.schemes.pose.estimate import Need, PoseEstimate
 
 PLUGINS = [
     pytest.param(registry, name, id=f"{registry.kind} {name}")

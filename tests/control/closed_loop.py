@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hal.actuation import ActuationOptions
-from hal.central_camera import CentralCamera, load_camera
-from hal.mock import MockBackend, MockOptions
-from hal.types import STANDSTILL, Pose, Velocity
-from robots import load_robot
-from visctrl.control.face_target import FaceTarget, FaceTargetOptions
-from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
-from visctrl.estimation.planar_motion import PlanarMotionEstimator, PlanarMotionOptions
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
+from visctrl.contracts import Context
+from visctrl.hal.actuation import ActuationOptions
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.mock.backend import MockBackend, MockOptions
+from visctrl.hal.types import STANDSTILL, Pose, Velocity
 from visctrl.perception.features import FeaturesOptions, IdentifiedFeatures
-from visctrl.plugins import Context
+from visctrl.robots import load_robot
+from visctrl.schemes.approach.estimator import PlanarMotionEstimator, PlanarMotionOptions
+from visctrl.schemes.approach.law import FaceTarget, FaceTargetOptions
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.law_smc import TrifocalSmc, TrifocalSmcOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 PERIOD = 0.1
 LARGE = load_camera("hypercatadioptric").resized(1024, 768)

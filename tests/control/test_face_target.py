@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from hal.central_camera import load_camera
-from robots import load_robot
-from robots.documents import validate
-from robots.errors import InputError
-from visctrl.control.face_target import FaceTarget, FaceTargetOptions
-from visctrl.estimation.estimates import PlanarMotionEstimate
-from visctrl.geometry.planar import PlanarMotion
-from visctrl.plugins import Context, Health
+from visctrl.contracts import Context, Health
+from visctrl.geometry.two_view.planar import PlanarMotion
+from visctrl.hal.cameras.central import load_camera
+from visctrl.robots import load_robot
+from visctrl.robots.documents import validate
+from visctrl.robots.errors import InputError
+from visctrl.schemes.approach.law import FaceTarget, FaceTargetOptions
+from visctrl.schemes.trifocal.estimate import PlanarMotionEstimate
 
 PERIOD = 0.1
 

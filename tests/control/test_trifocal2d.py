@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 from closed_loop import LARGE, REAL, Loop
 
-from hal.mock import MockOptions
-from hal.types import STANDSTILL, Velocity
-from visctrl.control.trifocal2d import Trifocal2d, Trifocal2dOptions
-from visctrl.estimation.tensor2d import Tensor2d, Tensor2dOptions
-from visctrl.geometry.trifocal_2d import T221, T223, normalised_2d, tensor_2d_from_poses
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.geometry.trifocal.tensor2d import (
+    T221,
+    T223,
+    normalised_2d,
+    tensor_2d_from_poses,
+)
+from visctrl.hal.mock.backend import MockOptions
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.schemes.trifocal2d.estimator import Tensor2d, Tensor2dOptions
+from visctrl.schemes.trifocal2d.law import Trifocal2d, Trifocal2dOptions
 
 START = (-0.55, -1.35, -35.0)
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from closed_loop import LARGE, REAL, Loop
 
-from hal.faults import Faults
-from hal.mock import MockOptions
-from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
-from visctrl.control.trifocal_smooth import TrifocalSmooth, TrifocalSmoothOptions
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
+from visctrl.hal.faults import Faults
+from visctrl.hal.mock.backend import MockOptions
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.law_smc import TrifocalSmc, TrifocalSmcOptions
+from visctrl.schemes.trifocal.law_smooth import TrifocalSmooth, TrifocalSmoothOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 START = (-0.55, -1.6, -19.0)
 LAWS = {

@@ -7,16 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.types import STANDSTILL, Velocity
-from robots import load_robot
-from robots.unicycle import step_exact
-from visctrl.control.arrival import Arrival, ArrivalOptions, Verdict
-from visctrl.control.shaping import CommandShaper
-from visctrl.control.sliding_mode import CosineDescent, switching
-from visctrl.control.trifocal_law import Outputs, Situation, decoupled, without_spinning
-from visctrl.control.trifocal_smc import PUBLISHED, TrifocalSmcOptions
-from visctrl.estimation.estimates import TensorEstimate
-from visctrl.geometry.trifocal import (
+from visctrl.contracts import Health
+from visctrl.geometry.trifocal.tensor import (
     T111,
     T112,
     T121,
@@ -29,7 +21,15 @@ from visctrl.geometry.trifocal import (
     normalised,
     tensor_from_poses,
 )
-from visctrl.plugins import Health
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots import load_robot
+from visctrl.robots.unicycle import step_exact
+from visctrl.schemes.command_shaping import CommandShaper
+from visctrl.schemes.sliding_mode import CosineDescent, switching
+from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
+from visctrl.schemes.trifocal.estimate import TensorEstimate
+from visctrl.schemes.trifocal.law import Outputs, Situation, decoupled, without_spinning
+from visctrl.schemes.trifocal.law_smc import PUBLISHED, TrifocalSmcOptions
 
 poses = st.tuples(st.floats(-3.0, 3.0), st.floats(-15.0, -1.0), st.floats(-0.6, 0.6)).map(np.array)
 

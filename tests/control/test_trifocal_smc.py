@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from closed_loop import LARGE, REAL, Loop
 
-from hal.central_camera import load_camera
-from hal.mock import MockOptions
-from hal.types import STANDSTILL
-from robots import load_robot
-from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
-from visctrl.plugins import Context, Health
+from visctrl.contracts import Context, Health
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.mock.backend import MockOptions
+from visctrl.hal.types import STANDSTILL
+from visctrl.robots import load_robot
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.law_smc import TrifocalSmc, TrifocalSmcOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 TABLE_3_1 = [(5.0, -5.0, 45.0), (-5.0, -12.0, -30.0), (0.0, -8.0, 0.0), (1.0, -14.0, -6.0)]
 TAU_100 = TrifocalSmcOptions(tau_s=100.0)

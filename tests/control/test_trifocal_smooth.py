@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from closed_loop import LARGE, REAL, Loop
 
-from hal.central_camera import load_camera
-from hal.mock import MockOptions
-from hal.types import STANDSTILL
-from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
-from visctrl.control.trifocal_smooth import TrifocalSmooth, TrifocalSmoothOptions
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.mock.backend import MockOptions
+from visctrl.hal.types import STANDSTILL
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.law_smc import TrifocalSmc, TrifocalSmcOptions
+from visctrl.schemes.trifocal.law_smooth import TrifocalSmooth, TrifocalSmoothOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 IDEAL = MockOptions(ideal=True)
 START = (-0.55, -1.35, -35.0)

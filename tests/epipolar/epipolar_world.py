@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hal.central_camera import CentralCamera, load_camera
-from hal.types import STANDSTILL
-from robots import Limits
-from robots.unicycle import step_exact, wrap_angle
-from visctrl.plugins import Context, Controller, Estimator, Health, Views
+from visctrl.contracts import Context, Controller, Estimator, Health, Views
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.types import STANDSTILL
+from visctrl.robots import Limits
+from visctrl.robots.unicycle import step_exact, wrap_angle
 
 PERSPECTIVE = CentralCamera(
     name="pinhole", width=640, height=480, xi=0.0, fx=600.0, fy=600.0, cx=319.5, cy=239.5

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from epipolar_world import PERSPECTIVE, World, context, omnidirectional
 
-from hal.central_camera import CentralCamera, load_camera
-from hal.types import STANDSTILL, Frame, Velocity
-from robots.errors import InputError
-from visctrl.config import load_scenario, parse_setting
-from visctrl.control.epipolar_smc import EpipolarSmc, EpipolarSmcOptions
-from visctrl.control.epipolar_smooth import EpipolarSmooth, EpipolarSmoothOptions
-from visctrl.estimation.epipole_solvers import solver_for
-from visctrl.estimation.epipoles import Epipoles, EpipolesOptions
-from visctrl.geometry.epipolar_planar import ONE_PLANE
+from visctrl.contracts import Health, Perception
+from visctrl.geometry.two_view.planar_uncalibrated import ONE_PLANE
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.types import STANDSTILL, Frame, Velocity
 from visctrl.perception.klt import Klt, KltOptions
-from visctrl.plugins import Health, Perception
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
-from visctrl.target_view import TargetView
+from visctrl.runtime.target_view import TargetView
+from visctrl.schemes.epipolar.estimator import Epipoles, EpipolesOptions
+from visctrl.schemes.epipolar.law_smc import EpipolarSmc, EpipolarSmcOptions
+from visctrl.schemes.epipolar.law_smooth import EpipolarSmooth, EpipolarSmoothOptions
+from visctrl.schemes.epipolar.motion_solvers import solver_for
 
 Start = tuple[float, float, float]
 CAMERAS = [PERSPECTIVE, omnidirectional("hypercatadioptric")]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from epipolar_world import PERSPECTIVE, Run, World, context, drive
 
-from hal.central_camera import CentralCamera, load_camera
-from visctrl.control.epipolar_smc import EpipolarSmc, EpipolarSmcOptions
-from visctrl.control.epipolar_smooth import EpipolarSmooth, EpipolarSmoothOptions
-from visctrl.estimation.epipoles import Epipoles, EpipolesOptions
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.schemes.epipolar.estimator import Epipoles, EpipolesOptions
+from visctrl.schemes.epipolar.law_smc import EpipolarSmc, EpipolarSmcOptions
+from visctrl.schemes.epipolar.law_smooth import EpipolarSmooth, EpipolarSmoothOptions
 
 Start = tuple[float, float, float]
 TABLE = [(4, -8, 40), (3, -11, 15.26), (-5, -13, 0), (-7, -18, -10)]

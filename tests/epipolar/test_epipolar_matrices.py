@@ -8,9 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from visctrl.geometry.epipolar import constraint_rows, epipoles, null_matrices, singular
-from visctrl.geometry.epipolar_robust import Degeneracy, robust_essential, robust_fundamental
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.geometry.two_view.essential import constraint_rows, epipoles, null_matrices, singular
+from visctrl.geometry.two_view.robust_matrices import (
+    Degeneracy,
+    robust_essential,
+    robust_fundamental,
+)
 
 K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
 NOISE_PX = 0.5

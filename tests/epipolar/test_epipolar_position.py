@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from visctrl.estimation.epipolar_position import Placed, Structure
+from visctrl.schemes.epipolar.position import Placed, Structure
 
 Pose = tuple[float, float, float]
 REFERENCE: Pose = (math.sin(0.3), -math.cos(0.3), -0.2)

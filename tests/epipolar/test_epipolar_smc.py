@@ -10,11 +10,11 @@ from epipolar_world import PERSPECTIVE, TS, context
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robots.unicycle import step_exact
-from visctrl.control.epipolar_gains import bounded_margins, decoupling_margins, depth_margin
-from visctrl.control.epipolar_smc import EpipolarSmc, EpipolarSmcOptions
-from visctrl.estimation.epipole_estimates import EpipoleEstimate, EpipolePair
-from visctrl.plugins import Decision, Health
+from visctrl.contracts import Decision, Health
+from visctrl.robots.unicycle import step_exact
+from visctrl.schemes.epipolar.estimate import EpipoleEstimate, EpipolePair
+from visctrl.schemes.epipolar.gains import bounded_margins, decoupling_margins, depth_margin
+from visctrl.schemes.epipolar.law_smc import EpipolarSmc, EpipolarSmcOptions
 
 TARGET = np.zeros(3)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from epipolar_world import PERSPECTIVE, World, context, drive
 
-from visctrl.control.epipolar_smooth import EpipolarSmooth, EpipolarSmoothOptions
-from visctrl.estimation.epipoles import Epipoles, EpipolesOptions
-from visctrl.geometry.horizon import Horizon, find_horizon
+from visctrl.geometry.two_view.horizon import Horizon, find_horizon
+from visctrl.schemes.epipolar.estimator import Epipoles, EpipolesOptions
+from visctrl.schemes.epipolar.law_smooth import EpipolarSmooth, EpipolarSmoothOptions
 
 START = (2.0, -7.0, math.radians(30.0))
 WIDEST = 0.052

@@ -10,8 +10,9 @@ from epipolar_world import PERSPECTIVE, World
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robots.unicycle import wrap_angle
-from visctrl.geometry.epipolar_planar import (
+from visctrl.contracts import Health
+from visctrl.geometry.two_view.planar import ransac_planar_motion
+from visctrl.geometry.two_view.planar_uncalibrated import (
     constraint_rows,
     null_vectors,
     ransac_planar_epipoles,
@@ -19,8 +20,7 @@ from visctrl.geometry.epipolar_planar import (
     sampson_residuals,
     turned,
 )
-from visctrl.geometry.planar import ransac_planar_motion
-from visctrl.plugins import Health
+from visctrl.robots.unicycle import wrap_angle
 
 Pose = tuple[float, float, float]
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hal.central_camera import load_camera
-from hal.types import Velocity
-from robots import load_robot
-from robots.unicycle import step_exact
-from visctrl.plugins import Context, Health, Views
+from visctrl.contracts import Context, Health, Views
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.types import Velocity
+from visctrl.robots import load_robot
+from visctrl.robots.unicycle import step_exact
 
 PERIOD = 0.1
 SIGMA = 2.5e-3

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from drives import PERIOD, SIGMA, Drive, context
 
-from hal.types import STANDSTILL, Velocity
-from visctrl.estimation.initial_view import InitialView, InitialViewFilter
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
-from visctrl.geometry.trifocal import target_in_view, trilinear
-from visctrl.geometry.trifocal_fit import coupling, refine
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.geometry.trifocal.fit import coupling, refine
+from visctrl.geometry.trifocal.tensor import target_in_view, trilinear
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.initial_view import InitialView, InitialViewFilter
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 START = (-0.55, -1.35, -0.35)
 CURVE = Velocity(0.25, -0.1)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from hal.types import Velocity
-from robots import load_robot
-from robots.unicycle import step_exact
-from visctrl.estimation.scale import DeadReckoning, PathScale
+from visctrl.hal.types import Velocity
+from visctrl.robots import load_robot
+from visctrl.robots.unicycle import step_exact
+from visctrl.schemes.path_scale import DeadReckoning, PathScale
 
 
 def test_noise_does_not_bias_the_scale():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from drives import PERIOD, SIGMA, Drive, context
 
-from hal.types import STANDSTILL, Velocity
-from robots.unicycle import wrap_angle
-from visctrl.estimation.planar_motion import PlanarMotionEstimator, PlanarMotionOptions
-from visctrl.geometry.trifocal import target_in_view
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.geometry.trifocal.tensor import target_in_view
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots.unicycle import wrap_angle
+from visctrl.schemes.approach.estimator import PlanarMotionEstimator, PlanarMotionOptions
 
 START = (0.8, -1.5, 1.2)
 TURN = Velocity(0.0, -0.4)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from drives import PERIOD, SIGMA, TARGET, Drive, context, rays
 
-from hal.types import STANDSTILL, Velocity
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
-from visctrl.geometry.trifocal import normalised, tensor_from_poses
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.geometry.trifocal.tensor import normalised, tensor_from_poses
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 START = (-0.55, -1.35, -0.45)
 ONWARDS = Velocity(0.2, 0.05)

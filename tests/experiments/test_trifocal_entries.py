@@ -5,12 +5,12 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from visctrl.experiments.cases import column, distances, errors, folder_name
-from visctrl.experiments.catalogue import ENTRIES
-from visctrl.experiments.image_motion import FILE
-from visctrl.experiments.jobs import Job, run_job
-from visctrl.experiments.trifocal import RESOLUTION, TABLE_3_1, _judged
-from visctrl.experiments.trifocal_plots import plot_motion, plot_states, plot_tensors
+from visctrl.reproduce.cases import column, distances, errors, folder_name
+from visctrl.reproduce.catalogue import ENTRIES
+from visctrl.reproduce.chapter3 import RESOLUTION, TABLE_3_1, _judged
+from visctrl.reproduce.chapter3_plots import plot_motion, plot_states, plot_tensors
+from visctrl.reproduce.image_motion import FILE
+from visctrl.study.jobs import Job, run_job
 
 
 @pytest.mark.parametrize("name", sorted(ENTRIES))

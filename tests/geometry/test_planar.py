@@ -6,17 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_views import rays_seen, scene
 
-from robots.unicycle import wrap_angle
-from visctrl.geometry.parallax import signed_parallax
-from visctrl.geometry.planar import (
+from visctrl.contracts import Health
+from visctrl.geometry.two_view.parallax import signed_parallax
+from visctrl.geometry.two_view.planar import (
     essential_matrix,
     ransac_planar_motion,
     refine_motions,
     refine_planar_motion,
     sampson_residuals,
 )
-from visctrl.geometry.planar_fit import RayPairs
-from visctrl.plugins import Health
+from visctrl.geometry.two_view.planar_fit import RayPairs
+from visctrl.robots.unicycle import wrap_angle
 
 SIGMA = 2e-3
 angles = st.floats(-3.0, 3.0)

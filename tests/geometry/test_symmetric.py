@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from visctrl.geometry.symmetric import Symmetric2, inverse4
+from visctrl.geometry.robust.symmetric import Symmetric2, inverse4
 
 NUMBERS = st.floats(-3.0, 3.0)
 

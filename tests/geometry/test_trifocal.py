@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_views import TARGET, line_determinants, points_seen, random_poses, rays_seen, scene
 
-from robots.unicycle import step_exact
-from visctrl.geometry import trifocal
-from visctrl.geometry.trifocal import T111, T112, T121, T122, T211, T212, T221, T222
+from visctrl.geometry.trifocal import tensor as trifocal
+from visctrl.geometry.trifocal.tensor import T111, T112, T121, T122, T211, T212, T221, T222
+from visctrl.robots.unicycle import step_exact
 
 poses = st.tuples(st.floats(-5.0, 5.0), st.floats(-15.0, -0.5), st.floats(-1.3, 1.3)).map(np.array)
 

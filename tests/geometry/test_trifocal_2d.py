@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robots.unicycle import step_exact
-from visctrl.geometry.trifocal_2d import (
+from visctrl.geometry.trifocal.tensor2d import (
     ELEMENTS_2D,
     T212,
     T232,
@@ -22,6 +21,7 @@ from visctrl.geometry.trifocal_2d import (
     solve_2d,
     tensor_2d_from_poses,
 )
+from visctrl.robots.unicycle import step_exact
 
 poses = st.tuples(st.floats(-3.0, 3.0), st.floats(-9.0, -1.0), st.floats(-1.0, 1.0)).map(np.array)
 SIGMA = 2e-3

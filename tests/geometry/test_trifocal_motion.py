@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_views import TARGET, random_poses, rays_seen, scene
 
-from robots.unicycle import wrap_angle
-from visctrl.geometry import trifocal
-from visctrl.geometry.trifocal_motion import motions_of_tensor, share_in_front
+from visctrl.geometry.trifocal import tensor as trifocal
+from visctrl.geometry.trifocal.motions import motions_of_tensor, share_in_front
+from visctrl.robots.unicycle import wrap_angle
 
 seeds = st.integers(0, 10_000)
 

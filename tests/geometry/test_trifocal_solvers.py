@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from three_views import TARGET, random_poses, rays_seen, scene
 
-from visctrl.geometry import trifocal, trifocal_fit
-from visctrl.geometry.trifocal import CALIBRATED, UNCALIBRATED
-from visctrl.geometry.trifocal_solvers import (
+from visctrl.geometry.trifocal import fit as trifocal_fit
+from visctrl.geometry.trifocal import tensor as trifocal
+from visctrl.geometry.trifocal.solvers import (
     identical_views,
     linear_covariance,
     ransac,
     solve_linear,
     solve_minimal,
 )
+from visctrl.geometry.trifocal.tensor import CALIBRATED, UNCALIBRATED
 
 INITIAL, CURRENT = np.array([-0.55, -1.35, -0.6]), np.array([-0.3, -0.7, -0.5])
 SIGMA = 2e-3

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.actuation import Actuation, ActuationOptions
-from hal.types import Velocity
-from robots import Limits
+from visctrl.hal.actuation import Actuation, ActuationOptions
+from visctrl.hal.types import Velocity
+from visctrl.robots import Limits
 
 LIMITS = Limits(
     v_m_s=0.4, omega_deg_s=50.0, acceleration_m_s2=0.3, angular_acceleration_deg_s2=100.0

@@ -11,9 +11,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.camera_files import FORMATS, read_camera, write_camera
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from robots.errors import InputError
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.files import FORMATS, read_camera, write_camera
+from visctrl.robots.errors import InputError
 
 number = st.floats(-1e5, 1e5, allow_subnormal=False)
 focal = st.floats(1e-8, 1e6) | st.floats(-1e6, -1e-8)

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from virtual_robot import Site
 
-from hal.capture import CaptureCamera, CaptureOptions
-from hal.central_camera import CentralCamera
-from hal.clock import WallClock
-from hal.errors import CameraError, StaleFrameError
-from hal.pioneer.emulator.stream import MjpegServer
-from hal.types import Frame
+from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.clock import WallClock
+from visctrl.hal.emulator.stream import MjpegServer
+from visctrl.hal.errors import CameraError, StaleFrameError
+from visctrl.hal.types import Frame
 
 WIDTH, HEIGHT, RATE = 160, 120, 25.0
 MODEL = CentralCamera(

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from robots.errors import InputError
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.robots.errors import InputError
 
 RNG = np.random.default_rng(0)
 MODELS = [load_camera(name) for name in camera_names()] + [

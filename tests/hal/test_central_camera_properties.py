@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from hal.central_camera import CentralCamera, load_camera
+from visctrl.hal.cameras.central import CentralCamera, load_camera
 
 Array = NDArray[np.float64]
 

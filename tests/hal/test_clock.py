@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from hal.clock import ManualClock, WallClock, WorldClock
+from visctrl.hal.clock import ManualClock, WallClock, WorldClock
 
 
 class World:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hal.errors import LinkError
-from hal.faults import Faults, FaultyCapture, active, blackened, check_link
-from hal.types import Features, Frame
+from visctrl.hal.errors import LinkError
+from visctrl.hal.faults import Faults, FaultyCapture, active, blackened, check_link
+from visctrl.hal.types import Features, Frame
 
 
 class Source:

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from hal.errors import InputError, LinkError
-from hal.mock import MockBackend, MockOptions, Purpose
-from hal.mock_scene import scatter, scatter_many, seen_from
-from hal.types import Pose, Velocity
-from robots import Limits, load_robot
-from robots.unicycle import along_arc, step_exact
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.errors import InputError, LinkError
+from visctrl.hal.mock.backend import MockBackend, MockOptions, Purpose
+from visctrl.hal.mock.scene import scatter, scatter_many, seen_from
+from visctrl.hal.types import Pose, Velocity
+from visctrl.robots import Limits, load_robot
+from visctrl.robots.unicycle import along_arc, step_exact
 
 ROBOT = load_robot("p3dx")
 IDEAL = MockOptions(ideal=True)

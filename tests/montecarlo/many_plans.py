@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from visctrl.config import load_scenario, parse_setting
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
 

@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 from many_plans import plan_from
 
-from hal.central_camera import camera_names, load_camera
-from hal.types import Velocity
-from robots import Limits, load_robot
-from visctrl.control.shaping import CommandShaper
-from visctrl.estimation.initial_view import InitialView, InitialViewFilter
-from visctrl.estimation.scale import DeadReckoning
-from visctrl.geometry import trifocal
-from visctrl.geometry.planar import ransac_planar_motion
-from visctrl.geometry.trifocal import current_view_basis, initial_view_basis, linearised
-from visctrl.geometry.trifocal_fit import Coupling, coupling
-from visctrl.geometry.trifocal_fit import refine as refine_one
-from visctrl.geometry.trifocal_solvers import identical_views
+from visctrl.contracts import Health
+from visctrl.geometry.trifocal import tensor as trifocal
+from visctrl.geometry.trifocal.fit import Coupling, coupling
+from visctrl.geometry.trifocal.fit import refine as refine_one
+from visctrl.geometry.trifocal.solvers import identical_views
+from visctrl.geometry.trifocal.tensor import (
+    current_view_basis,
+    initial_view_basis,
+    linearised,
+)
+from visctrl.geometry.two_view.planar import ransac_planar_motion
+from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.hal.types import Velocity
 from visctrl.montecarlo.bases import Bases, Guards, Reckonings, Shapers
 from visctrl.montecarlo.eyes import pixels_of, rays_of
 from visctrl.montecarlo.fit import Couplings, couple, refine
@@ -28,8 +29,11 @@ from visctrl.montecarlo.planar import identical, search
 from visctrl.montecarlo.planar_fit import Rays
 from visctrl.montecarlo.relation import FixedViews
 from visctrl.montecarlo.robots import Velocities
-from visctrl.plugins import Health
+from visctrl.robots import Limits, load_robot
 from visctrl.runtime.safety import Guard, SafetyOptions
+from visctrl.schemes.command_shaping import CommandShaper
+from visctrl.schemes.path_scale import DeadReckoning
+from visctrl.schemes.trifocal.initial_view import InitialView, InitialViewFilter
 
 Array = np.ndarray
 ROBOTS, FEATURES = 12, 40

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera
-from hal.types import Frame, Pose
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import Frame, Pose
 
 Array = NDArray[np.float64]
 CAMERA_HEIGHT_M = 0.8

@@ -9,10 +9,10 @@ import numpy as np
 from box_room import Room
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera, load_camera
-from hal.types import Frame, Pose
+from visctrl.contracts import Context, Views
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.types import Frame, Pose
 from visctrl.perception.klt import Klt, KltOptions
-from visctrl.plugins import Context, Views
 
 Array = NDArray[np.float64]
 NOISE = 2.0

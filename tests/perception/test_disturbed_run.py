@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
-from hal.types import Frame, Pose
-from sim.backend import SimBackend
-from visctrl.config import Override, load_scenario
+from visctrl.hal.types import Frame, Pose
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import Registries
 from visctrl.runtime.session import run_session
+from visctrl.sim.backend import SimBackend
 
 pytestmark = pytest.mark.sim
 
@@ -57,7 +57,7 @@ class Walked(SimBackend):
 
 
 def test_blackout_and_walker_cost_neither_the_run_nor_its_accuracy(tmp_path: Path):
-    scene = yaml.safe_load((resources.files("sim") / "scenes" / "hall.yaml").read_text())
+    scene = yaml.safe_load((resources.files("visctrl.sim") / "scenes" / "hall.yaml").read_text())
     scene["items"].append(WALKER)
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
     registries = Registries()

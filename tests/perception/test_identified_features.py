@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from hal.central_camera import load_camera
-from hal.types import Features, Frame
-from robots.errors import InputError
+from visctrl.contracts import Array, Context, Health
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.types import Features, Frame
 from visctrl.perception.features import FeaturesOptions, IdentifiedFeatures
-from visctrl.plugins import Array, Context, Health
+from visctrl.robots.errors import InputError
 
 CAMERA = load_camera("hypercatadioptric")
 CONTEXT = Context(CAMERA, None, 0.0, 0.1, 0, True)

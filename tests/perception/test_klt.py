@@ -8,10 +8,10 @@ from box_room import wall
 from driving import AHEAD, START, TARGET, bearing_errors, context, frames, line, room
 from driving import tracker as shown_the_target
 
-from hal.errors import InputError
-from hal.types import Features, Frame, Pose
+from visctrl.contracts import Health, Views
+from visctrl.hal.errors import InputError
+from visctrl.hal.types import Features, Frame, Pose
 from visctrl.perception.klt import Klt, KltOptions
-from visctrl.plugins import Health, Views
 
 NAME, WIDTH = "hypercatadioptric", 400
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.central_camera import load_camera
-from hal.types import Pose, Velocity
-from robots import load_robot
-from sim.backend import SimBackend
-from sim.options import SimOptions
-from visctrl.geometry.trifocal import tensor_from_poses
+from visctrl.contracts import Context, Health, Views
+from visctrl.geometry.trifocal.tensor import tensor_from_poses
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.types import Pose, Velocity
 from visctrl.perception.klt import Klt, KltOptions
-from visctrl.plugins import Context, Health, Views
+from visctrl.robots import load_robot
+from visctrl.sim.backend import SimBackend
+from visctrl.sim.options import SimOptions
 
 pytestmark = pytest.mark.sim
 

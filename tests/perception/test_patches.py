@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from box_room import texture
 
-from hal.central_camera import camera_names, load_camera
-from visctrl.perception.patches import HALF, Patches, Source
+from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.perception.patch_alignment import HALF, Patches, Source
 from visctrl.perception.unwrap import canvas_for
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from driving import START, room
 
-from hal.errors import InputError
-from hal.types import Features, Frame
+from visctrl.hal.errors import InputError
+from visctrl.hal.types import Features, Frame
 from visctrl.perception.pictures import averaged, checked, draw
 from visctrl.perception.unwrap import canvas_for
 

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 from driving import START, TARGET, bearing_errors, context, frames, line, room, target_frame
 
-from hal.types import Frame
+from visctrl.contracts import Health
+from visctrl.hal.types import Frame
 from visctrl.perception.sift import Sift, SiftOptions
-from visctrl.plugins import Health
 
 NAME, WIDTH = "hypercatadioptric", 400
 

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hal.types import Frame
-from robots.errors import InputError
 from visctrl.cli.teach import judge
+from visctrl.hal.types import Frame
 from visctrl.perception.quality import Quality, assess, sharpness
+from visctrl.robots.errors import InputError
 
 Image = NDArray[np.uint8]
 Change = Callable[[Image], Image]

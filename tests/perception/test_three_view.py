@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from visctrl.geometry.planar import PlanarMotion, refine_planar_motion
+from visctrl.geometry.two_view.planar import PlanarMotion, refine_planar_motion
 from visctrl.perception.three_view import ThreeViewMap, _seen
 
 SIGMA = np.radians(0.05)

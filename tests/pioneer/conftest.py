@@ -8,7 +8,7 @@ import pytest
 from pioneer_bench import Bench
 from virtual_robot import Site
 
-from hal.pioneer.emulator.character import ARCOS, Personality
+from visctrl.hal.emulator.firmware_profile import ARCOS, Personality
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from virtual_robot import Site
 
-from hal.clock import WallClock
-from hal.errors import BaseFaultError
-from hal.pioneer.base import PioneerBase
-from hal.pioneer.emulator.emulator import Emulator
-from hal.types import STANDSTILL, Velocity
-from robots import load_robot
+from visctrl.hal.clock import WallClock
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.hal.errors import BaseFaultError
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots import load_robot
 
 PERIOD_S = 0.1
 

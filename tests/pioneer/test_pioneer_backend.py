@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from virtual_robot import Site
 
-from hal.central_camera import CentralCamera
-from hal.errors import CameraError, InputError, LinkError
-from hal.pioneer.backend import PioneerBackend, PioneerOptions
-from hal.types import Pose, Velocity
-from robots import load_robot
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.errors import CameraError, InputError, LinkError
+from visctrl.hal.pioneer.backend import PioneerBackend, PioneerOptions
+from visctrl.hal.types import Pose, Velocity
+from visctrl.robots import load_robot
 
 MODEL = CentralCamera(
     name="test", width=160, height=120, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5

@@ -15,20 +15,20 @@ from typing import Any
 import pytest
 from virtual_robot import Client, Site
 
-from hal.pioneer.commands import Command, Id
-from hal.pioneer.config import Config, decode_config
-from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.packet import Packet, StreamDecoder
-from hal.pioneer.reports import (
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.pioneer.config import Config, decode_config
+from visctrl.hal.pioneer.packet import Packet, StreamDecoder
+from visctrl.hal.pioneer.reports import (
     StandardReport,
     Type,
     decode_identity,
     decode_standard_report,
     is_standard_report,
 )
-from hal.pioneer.subclasses import HEADING_RAD, SUBCLASSES
-from hal.types import STANDSTILL
-from robots.unicycle import wrap_angle
+from visctrl.hal.pioneer.subclasses import HEADING_RAD, SUBCLASSES
+from visctrl.hal.types import STANDSTILL
+from visctrl.robots.unicycle import wrap_angle
 
 DATA = Path(__file__).parents[1] / "data" / "arcos"
 #: Parameters by which a client knows the robot, and those that it takes its limits from.

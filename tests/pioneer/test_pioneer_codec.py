@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.pioneer.commands import Command, Id, decode_command, vel2_wheels
-from hal.pioneer.config import UNLIMITED, decode_config
-from hal.pioneer.packet import HEADER, Packet, StreamDecoder, checksum
-from hal.pioneer.reports import (
+from visctrl.hal.pioneer.commands import Command, Id, decode_command, vel2_wheels
+from visctrl.hal.pioneer.config import UNLIMITED, decode_config
+from visctrl.hal.pioneer.packet import HEADER, Packet, StreamDecoder, checksum
+from visctrl.hal.pioneer.reports import (
     Flags,
     Identity,
     Inputs,

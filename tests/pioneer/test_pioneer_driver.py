@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 from virtual_robot import Site
 
-from hal.clock import ManualClock, WallClock
-from hal.errors import DeviceError, InputError, LinkError
-from hal.pioneer.base import PioneerBase
-from hal.pioneer.commands import FORBIDDEN, Command, Id
-from hal.pioneer.emulator.character import ARCOS, SIMULATOR, Personality
-from hal.pioneer.link import SPACING_S, Link
-from hal.pioneer.subclasses import SUBCLASSES
-from hal.types import STANDSTILL, Velocity
-from robots import load_robot
+from visctrl.hal.clock import ManualClock, WallClock
+from visctrl.hal.emulator.firmware_profile import ARCOS, SIMULATOR, Personality
+from visctrl.hal.errors import DeviceError, InputError, LinkError
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.pioneer.commands import FORBIDDEN, Command, Id
+from visctrl.hal.pioneer.link import SPACING_S, Link
+from visctrl.hal.pioneer.subclasses import SUBCLASSES
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots import load_robot
 
 MakeBench = Callable[..., Any]
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from hal.errors import BaseFaultError, DeviceError, InputError, LinkError
-from hal.pioneer.commands import Command, Id
-from hal.pioneer.emulator.faults import Channel, Fault, FaultSchedule, parse_fault
-from hal.pioneer.emulator.firmware import STEP_S
-from hal.types import STANDSTILL, Velocity
+from visctrl.hal.emulator.faults import Channel, Fault, FaultSchedule, parse_fault
+from visctrl.hal.emulator.firmware import STEP_S
+from visctrl.hal.errors import BaseFaultError, DeviceError, InputError, LinkError
+from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.types import STANDSTILL, Velocity
 
 MakeBench = Callable[..., Any]
 FULL_SPEED = Velocity(0.4, math.radians(20.0))

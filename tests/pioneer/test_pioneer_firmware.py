@@ -6,13 +6,13 @@ import math
 
 import pytest
 
-from hal.pioneer.commands import Command, Id
-from hal.pioneer.config import decode_config
-from hal.pioneer.emulator.character import ARCOS, EMULATED, SIMULATOR, Personality, character
-from hal.pioneer.emulator.firmware import Firmware
-from hal.pioneer.emulator.world import Room
-from hal.pioneer.packet import Packet, StreamDecoder
-from hal.pioneer.reports import (
+from visctrl.hal.emulator.firmware import Firmware
+from visctrl.hal.emulator.firmware_profile import ARCOS, EMULATED, SIMULATOR, Personality, character
+from visctrl.hal.emulator.world import Room
+from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.pioneer.config import decode_config
+from visctrl.hal.pioneer.packet import Packet, StreamDecoder
+from visctrl.hal.pioneer.reports import (
     Flags,
     StandardReport,
     decode_encoders,
@@ -21,10 +21,10 @@ from hal.pioneer.reports import (
     decode_standard_report,
     is_standard_report,
 )
-from hal.pioneer.subclasses import HEADING_RAD, SUBCLASSES
-from hal.pioneer.telemetry import Telemetry
-from hal.types import Pose, Velocity
-from robots.unicycle import wrap_angle
+from visctrl.hal.pioneer.subclasses import HEADING_RAD, SUBCLASSES
+from visctrl.hal.pioneer.telemetry import Telemetry
+from visctrl.hal.types import Pose, Velocity
+from visctrl.robots.unicycle import wrap_angle
 
 
 class Client:

@@ -13,10 +13,10 @@ from pathlib import Path
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
-from hal.pioneer.commands import Command, Id, decode_command
-from hal.pioneer.config import decode_config
-from hal.pioneer.packet import HEADER, Packet, StreamDecoder
-from hal.pioneer.reports import (
+from visctrl.hal.pioneer.commands import Command, Id, decode_command
+from visctrl.hal.pioneer.config import decode_config
+from visctrl.hal.pioneer.packet import HEADER, Packet, StreamDecoder
+from visctrl.hal.pioneer.reports import (
     ReportError,
     StandardReport,
     decode_encoders,

@@ -18,16 +18,16 @@ from pathlib import Path
 
 import pytest
 
-from hal.clock import WallClock
-from hal.errors import LinkError
-from hal.pioneer.base import PioneerBase
-from hal.pioneer.commands import Command, Id
-from hal.pioneer.emulator.character import ARCOS, SIMULATOR, Personality, character
-from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.firmware import Firmware
-from hal.pioneer.emulator.ports import Port, PtyPort, TcpPort
-from hal.types import STANDSTILL, Velocity
-from robots import load_robot
+from visctrl.hal.clock import WallClock
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.hal.emulator.firmware import Firmware
+from visctrl.hal.emulator.firmware_profile import ARCOS, SIMULATOR, Personality, character
+from visctrl.hal.emulator.ports import Port, PtyPort, TcpPort
+from visctrl.hal.errors import LinkError
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots import load_robot
 
 ROOT = Path(__file__).parents[2]
 #: Longest time that a process may take to start and get up to speed (s).
@@ -35,10 +35,10 @@ START_S = 60.0
 #: A process that drives at full speed until it is killed.
 DRIVER = """
 import sys, time
-from hal.clock import WallClock
-from hal.pioneer.base import PioneerBase
-from hal.types import Velocity
-from robots import load_robot
+from visctrl.hal.clock import WallClock
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.types import Velocity
+from visctrl.robots import load_robot
 
 base = PioneerBase(sys.argv[1], "p3dx", load_robot("p3dx").operating, WallClock())
 base.open()

@@ -1,6 +1,6 @@
 """Runs on a mock among solid things, and an observer who knows when the robot touches one.
 
-The plan geometry of `sim.scene_world` stands for PyBullet's, in milliseconds a run.
+The plan geometry of `visctrl.sim.world.scene_world` stands for PyBullet's, in milliseconds a run.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.mock import MockBackend, MockOptions
-from hal.pioneer.subclasses import NO_ECHO_M, ring_of
-from hal.types import Pose, Range
-from robots import Robot, load_robot
-from robots.documents import Document
-from robots.unicycle import step_exact
-from sim.options import Box
-from sim.scene import Item, Scene, load_scene
-from sim.scene_world import SceneWorld
-from visctrl.config import Override, load_scenario
+from visctrl.hal.mock.backend import MockBackend, MockOptions
+from visctrl.hal.pioneer.subclasses import NO_ECHO_M, ring_of
+from visctrl.hal.types import Pose, Range
+from visctrl.robots import Robot, load_robot
+from visctrl.robots.documents import Document
+from visctrl.robots.unicycle import step_exact
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import Registries
 from visctrl.runtime.session import Outcome, run_session
+from visctrl.sim.options import Box
+from visctrl.sim.world.scene import Item, Scene, load_scene
+from visctrl.sim.world.scene_world import SceneWorld
 
 Array = NDArray[np.float64]
 ROBOT = load_robot("p3dx")

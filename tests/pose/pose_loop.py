@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pose_world import World
 
-from hal.types import STANDSTILL
-from robots import Limits
-from robots.unicycle import wrap_angle
-from visctrl.control.pose_tracking import PoseTracking, PoseTrackingOptions
-from visctrl.estimation.pose_ekf import EkfOptions, PoseEkf
-from visctrl.estimation.pose_estimate import Need
-from visctrl.estimation.pose_transfer import PoseTransfer, TransferOptions
-from visctrl.plugins import Decision, Health
+from visctrl.contracts import Decision, Health
+from visctrl.hal.types import STANDSTILL
+from visctrl.robots import Limits
+from visctrl.robots.unicycle import wrap_angle
+from visctrl.schemes.pose.estimate import Need
+from visctrl.schemes.pose.estimator import PoseTransfer, TransferOptions
+from visctrl.schemes.pose.estimator_ekf import EkfOptions, PoseEkf
+from visctrl.schemes.pose.law import PoseTracking, PoseTrackingOptions
 
 Array = NDArray[np.float64]
 #: What is executed scatters by so much about what is commanded (m/s, rad/s).

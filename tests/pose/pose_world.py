@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera, load_camera
-from hal.types import Velocity
-from robots.unicycle import step_exact
-from visctrl.plugins import Context, Health, Views
+from visctrl.contracts import Context, Health, Views
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.types import Velocity
+from visctrl.robots.unicycle import step_exact
 
 Array = NDArray[np.float64]
 

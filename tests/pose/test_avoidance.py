@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from obstacle_world import AHEAD, ROBOT, Watch, axle, gaps, run
 from scipy import ndimage
 
-from hal.types import Pose
-from visctrl.control.distance_field import Field
-from visctrl.control.outline import Outline, along, along_many, trailed
-from visctrl.control.paths import path_between
-from visctrl.control.way_search import Drive
-from visctrl.control.ways import WayFinder
+from visctrl.hal.types import Pose
+from visctrl.planning.detours import WayFinder
+from visctrl.planning.distance_field import Field
+from visctrl.planning.footprint import Outline, along, along_many, trailed
+from visctrl.planning.lattice_planner import Drive
+from visctrl.planning.paths import path_between
 
 OUTLINE = Outline.of(ROBOT.body)
 MARGIN = 0.12

@@ -13,15 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.types import Pose
-from robots.errors import InputError
-from visctrl.config import Override, load_scenario
-from visctrl.estimation.pose_estimate import Need, PoseEstimate
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.hal.types import Pose
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.consistency import Consistency, chi_square_bounds, nees
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import Outcome, run_session
+from visctrl.schemes.pose.estimate import Need, PoseEstimate
 
 
 def estimate(pose: Pose, need: Need = Need.NOTHING) -> PoseEstimate:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from visctrl.estimation.pose_leg import Leg
-from visctrl.estimation.pose_start import Start, solve_leg
+from visctrl.schemes.pose.first_leg import Leg
+from visctrl.schemes.pose.leg_start import Start, solve_leg
 
 DATA = Path(__file__).parents[1] / "data"
 SIGMA = 4e-4

@@ -19,7 +19,7 @@ from visctrl.geometry.observability import (
     unobservable,
 )
 from visctrl.geometry.pose_outputs import epipole_bearings, metric_elements, normalised_elements
-from visctrl.geometry.trifocal import ELEMENTS
+from visctrl.geometry.trifocal.tensor import ELEMENTS
 
 Array = NDArray[np.float64]
 SEEDS = st.integers(0, 2**32 - 1)

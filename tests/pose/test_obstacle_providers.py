@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from obstacle_world import AHEAD, ROBOT, Watch, axle, run, scene_with
 
-from hal.pioneer.subclasses import NO_ECHO_M, ring_of
-from hal.types import Pose, Range
-from robots.unicycle import relative_pose
-from sim.options import Box
-from sim.scene_world import SceneWorld
-from visctrl.estimation.pose_estimate import Need, PoseEstimate
-from visctrl.obstacles.echo_map import CELL_M, EchoMap, Reading
-from visctrl.obstacles.listed import Listed, ListedOptions
-from visctrl.obstacles.sonar import Sonar, SonarOptions
-from visctrl.plugins import Context, Health, Obstacle
+from visctrl.contracts import Context, Health, Obstacle
+from visctrl.hal.pioneer.subclasses import NO_ECHO_M, ring_of
+from visctrl.hal.types import Pose, Range
+from visctrl.planning.providers.listed import Listed, ListedOptions
+from visctrl.planning.providers.occupancy_grid import CELL_M, EchoMap, Reading
+from visctrl.planning.providers.sonar import Sonar, SonarOptions
+from visctrl.robots.unicycle import relative_pose
+from visctrl.schemes.pose.estimate import Need, PoseEstimate
+from visctrl.sim.options import Box
+from visctrl.sim.world.scene_world import SceneWorld
 
 START = Pose(0.0, -3.5, 0.0)
 

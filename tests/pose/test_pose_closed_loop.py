@@ -8,7 +8,7 @@ from pose_loop import NOISE, drive
 from pose_world import CAMERA, World
 from scipy.stats import chi2
 
-from robots import load_robot
+from visctrl.robots import load_robot
 
 STARTS = [(2, -12, 45), (-6, -16, -20), (8, -8, 50), (-6, -18, -70), (-8, -12, -20), (0, -10, 0)]
 

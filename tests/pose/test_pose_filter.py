@@ -6,9 +6,9 @@ from filterpy.kalman import ExtendedKalmanFilter
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from robots.unicycle import step_exact
-from visctrl.estimation.pose_filter import CORE, TransferFilter
-from visctrl.geometry.transfer import wrap_half_turn
+from visctrl.geometry.trifocal.transfer import wrap_half_turn
+from visctrl.robots.unicycle import step_exact
+from visctrl.schemes.pose.schmidt_ekf import CORE, TransferFilter
 
 Array = NDArray[np.float64]
 COUNT = 9

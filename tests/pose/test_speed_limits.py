@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from obstacle_world import Watch, run
 
-from hal.actuation import bounded, quantised
-from hal.types import Velocity
-from robots import Limits, load_robot
-from visctrl.control.paths import path_between, path_time
+from visctrl.hal.actuation import bounded, quantised
+from visctrl.hal.types import Velocity
+from visctrl.planning.paths import path_between, path_time
+from visctrl.robots import Limits, load_robot
 from visctrl.runtime.records import TickRecord
 from visctrl.runtime.safety import SafetyOptions, effective_limits
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from visctrl.geometry.transfer import bearings, transfer_bearing, wrap_half_turn
+from visctrl.geometry.trifocal.transfer import bearings, transfer_bearing, wrap_half_turn
 
 Array = NDArray[np.float64]
 SEEDS = st.integers(0, 2**32 - 1)

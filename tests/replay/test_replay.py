@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from visctrl.cli.main import main
-from visctrl.config import load_scenario, parse_setting
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.types import Pose
-from robots import load_robot
-from visctrl.plugins import Array, Views
-from visctrl.report.svg import (
+from visctrl.contracts import Array, Views
+from visctrl.hal.types import Pose
+from visctrl.robots import load_robot
+from visctrl.viewers.report.svg import (
     HEIGHT,
     MARGINS,
     WIDTH,
@@ -24,8 +24,8 @@ from visctrl.report.svg import (
     round_steps,
     value_range,
 )
-from visctrl.report.topview import DrivenPath, Outline, box_shape, disc_shape, draw_paths
-from visctrl.report.tracks import TrackHistory
+from visctrl.viewers.report.topview import DrivenPath, Outline, box_shape, disc_shape, draw_paths
+from visctrl.viewers.track_history import TrackHistory
 
 VALUE = st.floats(-1e6, 1e6)
 

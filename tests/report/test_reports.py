@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from robots.errors import InputError
 from visctrl.cli.main import main
-from visctrl.config import load_scenario, parse_setting
-from visctrl.report.comparison import write_comparison
-from visctrl.report.run_report import write_report
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
+from visctrl.viewers.report.comparison import write_comparison
+from visctrl.viewers.report.run_report import write_report
 
 SHORT = ("backend=mock", "duration_s=3", "mock.noise_px=0.3")
 SCHEMES = {

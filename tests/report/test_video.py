@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from hal.types import Pose
-from robots import load_robot
-from visctrl.config import load_scenario, parse_setting
-from visctrl.report.overhead import draw_overhead
-from visctrl.report.topview import Outline
+from visctrl.hal.types import Pose
+from visctrl.robots import load_robot
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
+from visctrl.viewers.report.topview import Outline
+from visctrl.viewers.video.overhead import draw_overhead
 
 
 def outline() -> Outline:

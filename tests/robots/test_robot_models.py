@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from robots import load_robot, robot_names
-from robots.errors import InputError
+from visctrl.robots import load_robot, robot_names
+from visctrl.robots.errors import InputError
 
 robots = pytest.mark.parametrize("name", robot_names())
 

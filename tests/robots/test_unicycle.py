@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robots.unicycle import (
+from visctrl.robots.unicycle import (
     euler_jacobians,
     from_rep103,
     relative_pose,

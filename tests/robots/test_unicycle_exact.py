@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from robots.unicycle import arc, compose, exact_jacobians, relative_pose, step_exact
+from visctrl.robots.unicycle import arc, compose, exact_jacobians, relative_pose, step_exact
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -8,7 +8,7 @@ import pytest
 import toy_plugins
 from toy_plugins import SpyBackend
 
-from visctrl.config import Override, load_scenario
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import Registries
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hal.camera_files import write_camera
-from hal.central_camera import load_camera
-from robots.errors import InputError
-from visctrl.config import Override, load_scenario, parse_setting, scenario_names, to_yaml
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.files import write_camera
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import Override, load_scenario, parse_setting, scenario_names, to_yaml
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import Registries
 
@@ -147,7 +147,7 @@ def test_schemes_whose_plugins_are_missing_say_so_in_one_line(registries: Regist
 
 
 def test_planned_backends_say_so_in_one_line(registries: Registries) -> None:
-    registries.backends.builtin["hovercraft"] = "hal.hovercraft:Backend"
+    registries.backends.builtin["hovercraft"] = "visctrl.hal.hovercraft:Backend"
     with pytest.raises(InputError, match="backend 'hovercraft' is not available yet") as caught:
         plan(registries, "default", "backend=hovercraft")
     assert "\n" not in str(caught.value)

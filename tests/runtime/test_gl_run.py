@@ -6,14 +6,14 @@ import math
 
 import pytest
 
-from sim import gl_context
-from sim.drawers import drawer_problem
 from visctrl.cli import doctor
 from visctrl.cli.main import main
-from visctrl.config import CameraChoice, load_scenario, parse_setting
+from visctrl.runtime.config import CameraChoice, load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
+from visctrl.sim.render import gl_context
+from visctrl.sim.render.renderer_choice import drawer_problem
 
 pytestmark = pytest.mark.sim
 
@@ -55,12 +55,13 @@ def test_an_unknown_renderer_is_bad_input(
 
 def test_the_doctor_says_which_renderers_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_drawing_times", lambda drawer, model: iter([12.3]))
-    monkeypatch.setattr("sim.drawers.egl_works", lambda: True)
-    monkeypatch.setattr("sim.drawers.gl_problem", lambda: "")
+    monkeypatch.setattr("visctrl.sim.render.renderer_choice.egl_works", lambda: True)
+    monkeypatch.setattr("visctrl.sim.render.renderer_choice.gl_problem", lambda: "")
     found = {each.what: each for each in doctor.renderers(CameraChoice())}
     assert set(found) == {"renderer gl", "renderer tiny", "renderer egl"}
     assert found["renderer gl"].found == "12 ms a picture of 800x600"
-    monkeypatch.setattr("sim.drawers.gl_problem", lambda: "pip install 'visctrl[gl]'")
+    problem = "pip install 'visctrl[gl]'"
+    monkeypatch.setattr("visctrl.sim.render.renderer_choice.gl_problem", lambda: problem)
     found = {each.what: each for each in doctor.renderers(CameraChoice())}
     assert found["renderer gl"].found == "does not work here"
     assert found["renderer gl"].remedy == "pip install 'visctrl[gl]'"

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hal.types import Pose
+from visctrl.hal.types import Pose
 from visctrl.runtime.consistency import NAME, chi_square_bounds
 from visctrl.runtime.meter import PARTS, Meter
 

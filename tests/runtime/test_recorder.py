@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robots.errors import InputError
-from visctrl.report.ticks import read_ticks
+from visctrl.robots.errors import InputError
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.recorder import FILES, Recorder, RunDirectory
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
+from visctrl.viewers.report.ticks import read_ticks
 
 MakePlan = Callable[..., Plan]
 

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from robots.errors import InputError
-from visctrl.config import load_scenario, parse_setting
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import Registries, estimate_type
 from visctrl.runtime.session import run_session
 
 PLUGINS = """
 import sys
-from visctrl.estimation.pose_estimate import PoseEstimate
-from visctrl.plugins import Controller, Decision, Estimate, Obstacle, ObstacleProvider
-from robots.documents import Document
+from visctrl.schemes.pose.estimate import PoseEstimate
+from visctrl.contracts import Controller, Decision, Estimate, Obstacle, ObstacleProvider
+from visctrl.robots.documents import Document
 
 class Options(Document):
     speed: float = 0.1

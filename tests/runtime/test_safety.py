@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.errors import StaleFrameError
-from hal.types import STANDSTILL, Frame, Velocity
-from robots import Limits, load_robot
-from robots.errors import InputError
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.hal.errors import StaleFrameError
+from visctrl.hal.types import STANDSTILL, Frame, Velocity
+from visctrl.robots import Limits, load_robot
+from visctrl.robots.errors import InputError
 from visctrl.runtime.safety import (
     Guard,
     LostError,

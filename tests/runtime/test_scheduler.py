@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.clock import ManualClock
-from hal.interfaces import Clock
+from visctrl.hal.clock import ManualClock
+from visctrl.hal.interfaces import Clock
 from visctrl.runtime.scheduler import GRACE, Tick, Ticker
 
 PERIOD = 0.1

@@ -16,13 +16,13 @@ import pytest
 import yaml
 from toy_plugins import SpyBackend, ToyController
 
-from hal import mock
-from hal.actuation import Actuation
-from hal.clock import ManualClock
-from hal.errors import LinkError
-from hal.types import STANDSTILL, Frame, Velocity
-from robots.errors import InputError
-from visctrl.plugins import Match
+from visctrl.contracts import Match
+from visctrl.hal.actuation import Actuation
+from visctrl.hal.clock import ManualClock
+from visctrl.hal.errors import LinkError
+from visctrl.hal.mock import backend as mock
+from visctrl.hal.types import STANDSTILL, Frame, Velocity
+from visctrl.robots.errors import InputError
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import Outcome, run_session

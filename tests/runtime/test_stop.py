@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 from toy_plugins import SpyBackend, ToyController
 
-from hal.types import STANDSTILL
+from visctrl.hal.types import STANDSTILL
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session

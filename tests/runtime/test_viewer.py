@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hal.types import Frame
-from robots.errors import InputError
-from robots.unicycle import to_rep103
 from visctrl.cli.main import main
+from visctrl.hal.types import Frame
+from visctrl.robots.errors import InputError
+from visctrl.robots.unicycle import to_rep103
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
@@ -27,7 +27,7 @@ from visctrl.runtime.session import run_session
 foxglove = pytest.importorskip("foxglove")
 reading = pytest.importorskip("mcap.reader")
 
-from visctrl.report.viewer import ViewerStream  # noqa: E402
+from visctrl.viewers.foxglove.stream import ViewerStream  # noqa: E402
 
 MakePlan = Callable[..., Plan]
 SCHEMAS = {
@@ -258,7 +258,7 @@ def test_without_the_package_its_install_command_is_told(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("visctrl.report.viewer._PACKAGE", "no_such_package")
+    monkeypatch.setattr("visctrl.viewers.report.viewer._PACKAGE", "no_such_package")
     out = tmp_path / "run"
     assert call(monkeypatch, "run", "mock", option, "--out", str(out)) == 2
     assert f"{option} needs an extra package: pip install 'visctrl[viz]'" in capsys.readouterr().err

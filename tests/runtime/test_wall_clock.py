@@ -10,8 +10,8 @@ from collections.abc import Callable
 import pytest
 from toy_plugins import SpyBackend
 
-from hal.errors import LinkError
-from hal.types import STANDSTILL
+from visctrl.hal.errors import LinkError
+from visctrl.hal.types import STANDSTILL
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from toy_plugins import SpyBackend
 
-from hal.types import STANDSTILL
+from visctrl.hal.types import STANDSTILL
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.session import Outcome, run_session
 from visctrl.runtime.stop import StopRequest
-from visctrl.web.address import Address
-from visctrl.web.server import WebPage
-from visctrl.web.view import LiveView
+from visctrl.viewers.web.address import Address
+from visctrl.viewers.web.server import WebPage
+from visctrl.viewers.web.view import LiveView
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
 CHROMIUM = next((path for name in NAMES if (path := shutil.which(name))), None)

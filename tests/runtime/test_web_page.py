@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 from toy_plugins import SpyBackend
 
-from hal.types import STANDSTILL, Frame, Pose
-from robots.errors import InputError
 from visctrl.cli.main import main
-from visctrl.plugins import Match
+from visctrl.contracts import Match
+from visctrl.hal.types import STANDSTILL, Frame, Pose
+from visctrl.robots.errors import InputError
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import Outcome, run_session
 from visctrl.runtime.stop import StopRequest
-from visctrl.web.address import Access, Address
-from visctrl.web.server import WebPage
-from visctrl.web.view import LiveView
+from visctrl.viewers.web.address import Access, Address
+from visctrl.viewers.web.server import WebPage
+from visctrl.viewers.web.view import LiveView
 
 LOOPBACK = Address("127.0.0.1", 0)
 MakePlan = Callable[..., Plan]

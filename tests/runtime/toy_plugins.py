@@ -9,11 +9,11 @@ import time
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from hal.errors import CameraError
-from hal.mock import MockBackend, MockOptions
-from hal.types import BaseStatus, Frame, Velocity
-from robots.documents import Document
-from visctrl.plugins import Controller, Decision, Estimate, Estimator, Health, Signal, Views
+from visctrl.contracts import Controller, Decision, Estimate, Estimator, Health, Signal, Views
+from visctrl.hal.errors import CameraError
+from visctrl.hal.mock.backend import MockBackend, MockOptions
+from visctrl.hal.types import BaseStatus, Frame, Velocity
+from visctrl.robots.documents import Document
 
 
 class SpyOptions(MockOptions):

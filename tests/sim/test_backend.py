@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hal.central_camera import load_camera
-from hal.errors import CameraError, InputError, LinkError
-from hal.types import Frame, Pose, Velocity
-from robots import Limits, load_robot
-from sim.backend import SimBackend
-from sim.drawers import DrawerName, drawer_problem
-from sim.options import SimOptions
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.errors import CameraError, InputError, LinkError
+from visctrl.hal.types import Frame, Pose, Velocity
+from visctrl.robots import Limits, load_robot
+from visctrl.sim.backend import SimBackend
+from visctrl.sim.options import SimOptions
+from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem
 
 pytestmark = pytest.mark.sim
 START = Pose(-0.55, -1.35, math.radians(-35.0))

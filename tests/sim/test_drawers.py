@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from hal.errors import InputError
-from hal.types import Pose
-from sim import drawers
-from sim.probe import answer
-from sim.renderer import Image, Renderer
+from visctrl.hal.errors import InputError
+from visctrl.hal.types import Pose
+from visctrl.sim.render import renderer_choice as drawers
+from visctrl.sim.render.probe import answer
+from visctrl.sim.render.renderer import Image, Renderer
 
 pytestmark = pytest.mark.sim
 
@@ -77,7 +77,8 @@ def test_what_does_not_work_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyP
 def test_a_typical_frame_is_timed_in_another_process(name: drawers.DrawerName) -> None:
     if problem := drawers.drawer_problem(name):
         pytest.skip(problem)
-    said = answer(f"from sim.drawers import time_frame\ntime_frame({name!r})")
+    code = f"from {drawers.__name__} import time_frame\ntime_frame({name!r})"
+    said = answer(code)
     assert said is not None
     assert 0.1 < float(said) < 20e3
 

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.capture import CaptureCamera, CaptureOptions
-from hal.central_camera import load_camera
-from hal.clock import WallClock
-from hal.errors import CameraError, InputError, StaleFrameError
-from hal.pioneer.subclasses import SUBCLASSES, SonarPose
-from hal.types import Pose
-from robots import load_robot
-from sim.emulated_camera import CameraSpec, EmulatedCamera, State
-from sim.scene import Item, Room, Scene, load_scene
-from sim.scene_world import SceneWorld
+from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.clock import WallClock
+from visctrl.hal.errors import CameraError, InputError, StaleFrameError
+from visctrl.hal.pioneer.subclasses import SUBCLASSES, SonarPose
+from visctrl.hal.types import Pose
+from visctrl.robots import load_robot
+from visctrl.sim.emulated_camera import CameraSpec, EmulatedCamera, State
+from visctrl.sim.world.scene import Item, Room, Scene, load_scene
+from visctrl.sim.world.scene_world import SceneWorld
 
 HALL = load_scene("hall")
 ROBOT = load_robot("p3dx")

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from hal.errors import InputError
-from sim import engine
+from visctrl.hal.errors import InputError
+from visctrl.sim.world import engine
 
 
 def test_native_output_is_discarded_and_python_output_kept(
@@ -24,7 +24,7 @@ def test_native_output_is_discarded_and_python_output_kept(
 
 def test_importing_and_connecting_is_silent() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", "import sim.engine as e; e.disconnect(e.connect())"],
+        [sys.executable, "-c", "import visctrl.sim.world.engine as e; e.disconnect(e.connect())"],
         capture_output=True,
         text=True,
         timeout=60,

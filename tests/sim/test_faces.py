@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from sim.faces import FaceLayout, PixelOrigin, plan_faces
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.sim.render.view_atlas import FaceLayout, PixelOrigin, plan_faces
 
 Array = NDArray[np.float64]
 

@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from hal.errors import InputError
-from hal.types import Pose
-from sim import gl_context
-from sim.drawers import choose_drawer, drawer_problem, open_renderer
-from sim.gl_renderer import GlRenderer
-from sim.renderer import BulletRenderer
-from sim.scene import load_scene
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.errors import InputError
+from visctrl.hal.types import Pose
+from visctrl.sim.render import gl_context
+from visctrl.sim.render.gl_renderer import GlRenderer
+from visctrl.sim.render.renderer import BulletRenderer
+from visctrl.sim.render.renderer_choice import choose_drawer, drawer_problem, open_renderer
+from visctrl.sim.world.scene import load_scene
 
 pytestmark = [
     pytest.mark.sim,
@@ -154,7 +154,7 @@ def test_a_closed_one_says_so_and_many_may_be_opened_in_turn() -> None:
 
 
 def test_a_scene_too_large_for_the_driver_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim.gl_pass._most_texels", lambda context: 1024)
+    monkeypatch.setattr("visctrl.sim.render.gl_pass._most_texels", lambda context: 1024)
     with pytest.raises(InputError, match=r"allows 1024x1024: use a smaller scene or image"):
         GlRenderer(ROOM, SMALL)
 
@@ -179,7 +179,8 @@ def test_without_the_package_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPat
 def test_without_a_driver_it_says_what_to_install(variable: str) -> None:
     name, value = variable.split("=")
     script = (
-        "from hal.errors import InputError\nfrom sim.drawers import choose_drawer\n"
+        "from visctrl.hal.errors import InputError\n"
+        "from visctrl.sim.render.renderer_choice import choose_drawer\n"
         "try: choose_drawer('gl')\nexcept InputError as error: print(error)"
     )
     done = subprocess.run(

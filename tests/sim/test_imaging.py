@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.imaging import Sensor
+from visctrl.sim.render.imaging import Sensor
 
 GREY = np.full((200, 300), 128, np.uint8)
 

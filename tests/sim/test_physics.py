@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from hal.actuation import Actuation, ActuationOptions
-from hal.errors import DeviceError
-from hal.types import Pose, Velocity
-from robots import load_robot, robot_names
-from robots.unicycle import relative_pose, step_exact
-from sim.engine import disconnect
-from sim.physics import STEPS_PER_SECOND, Physics
-from sim.scene import Item, Room, Scene
+from visctrl.hal.actuation import Actuation, ActuationOptions
+from visctrl.hal.errors import DeviceError
+from visctrl.hal.types import Pose, Velocity
+from visctrl.robots import load_robot, robot_names
+from visctrl.robots.unicycle import relative_pose, step_exact
+from visctrl.sim.world.engine import disconnect
+from visctrl.sim.world.physics import STEPS_PER_SECOND, Physics
+from visctrl.sim.world.scene import Item, Room, Scene
 
 STEP_S = 1.0 / STEPS_PER_SECOND
 POST = Item(name="post", at_m=(0.0, 1.0), size_m=(0.3, 0.3, 1.0))

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from sim import probe
+from visctrl.sim.render import probe
 
 
 def test_a_probe_answers_among_chatter() -> None:

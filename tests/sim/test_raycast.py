@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from hal.types import Pose
-from sim.frames import displacement, heading_matrix
-from sim.raycast import Candidates, RectangleSet, Seen, Tiles, cut_tiles
-from sim.scene import load_scene
-from sim.surfaces import Rectangle
-from sim.texture_sheet import shown
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.types import Pose
+from visctrl.sim.render.raycast import Candidates, RectangleSet, Seen, Tiles, cut_tiles
+from visctrl.sim.render.surfaces import Rectangle
+from visctrl.sim.render.texture_sheet import shown
+from visctrl.sim.world.frames import displacement, heading_matrix
+from visctrl.sim.world.scene import load_scene
 
 Array = NDArray[np.float64]
 

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from hal.central_camera import CentralCamera, camera_names, load_camera
-from hal.types import Pose
-from sim.accuracy import checker_room, measure_corners
-from sim.drawers import DrawerName, drawer_problem, open_renderer
-from sim.frames import heading_matrix
-from sim.renderer import Renderer
-from sim.scene import Item, Paint, Room, Scene
+from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.types import Pose
+from visctrl.sim.render.accuracy import checker_room, measure_corners
+from visctrl.sim.render.renderer import Renderer
+from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem, open_renderer
+from visctrl.sim.world.frames import heading_matrix
+from visctrl.sim.world.scene import Item, Paint, Room, Scene
 
 pytestmark = pytest.mark.sim
 

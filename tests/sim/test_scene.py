@@ -9,13 +9,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from hal.errors import InputError
-from hal.types import Pose
-from robots import Robot, load_robot, robot_names
-from sim.options import SimOptions
-from sim.scene import Item, Room, Scene, load_scene, overlap, rectangle, robot_outline
-from sim.scene_files import scene_names
-from sim.surfaces import surfaces
+from visctrl.hal.errors import InputError
+from visctrl.hal.types import Pose
+from visctrl.robots import Robot, load_robot, robot_names
+from visctrl.sim.options import SimOptions
+from visctrl.sim.render.surfaces import surfaces
+from visctrl.sim.world.scene import Item, Room, Scene, load_scene, overlap, rectangle, robot_outline
+from visctrl.sim.world.scene_files import scene_names
 
 HALL = load_scene("hall")
 P3DX = load_robot("p3dx")

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hal.central_camera import load_camera
-from hal.pioneer.subclasses import NO_ECHO_M, Subclass, find_subclass, ring_of
-from hal.pioneer.telemetry import Echo, Telemetry
-from hal.types import Pose
-from robots import load_robot
-from sim.backend import SimBackend
-from sim.options import SimOptions
-from sim.scene import load_scene
-from sim.scene_world import SceneWorld
-from visctrl.config import Override, load_scenario
+from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.pioneer.subclasses import NO_ECHO_M, Subclass, find_subclass, ring_of
+from visctrl.hal.pioneer.telemetry import Echo, Telemetry
+from visctrl.hal.types import Pose
+from visctrl.robots import load_robot
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
+from visctrl.sim.backend import SimBackend
+from visctrl.sim.options import SimOptions
+from visctrl.sim.world.scene import load_scene
+from visctrl.sim.world.scene_world import SceneWorld
 
 SMALL_ROOM = str(Path(__file__).with_name("small_room.yaml"))
 CAMERA = load_camera("paracatadioptric").resized(200, 150)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from hal.types import Pose
-from sim.ground import PERIOD_M, plane_levels
-from sim.scene import Item, Paint, Room, Scene
-from sim.surfaces import surfaces
-from sim.texture_sheet import Picture, TextureSheet, pack, shown
-from sim.textures import BASE_DENSITY, LEVELS, Levels
+from visctrl.hal.types import Pose
+from visctrl.sim.render.ground import PERIOD_M, plane_levels
+from visctrl.sim.render.surfaces import surfaces
+from visctrl.sim.render.texture_sheet import Picture, TextureSheet, pack, shown
+from visctrl.sim.render.textures import BASE_DENSITY, LEVELS, Levels
+from visctrl.sim.world.scene import Item, Paint, Room, Scene
 
 BLOCK = 2 ** (LEVELS - 1)
 SCENE = Scene(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.textures import (
+from visctrl.sim.render.textures import (
     BASE_DENSITY,
     FINEST_SIGMA_M,
     LEVELS,

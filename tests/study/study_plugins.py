@@ -6,8 +6,8 @@ import os
 import signal
 from typing import ClassVar
 
-from robots.documents import Document
-from visctrl.plugins import Controller, Decision, Estimate
+from visctrl.contracts import Controller, Decision, Estimate
+from visctrl.robots.documents import Document
 
 
 class KillerOptions(Document):

@@ -16,15 +16,15 @@ import pytest
 import study_work
 import yaml
 
-from robots.errors import InputError
-from visctrl.experiments import cluster
-from visctrl.experiments.cluster import ClusterError, ClusterWorkers
-from visctrl.experiments.study_log import StudyLog
-from visctrl.experiments.study_runs import run_study, table_rows
-from visctrl.experiments.study_table import write_table
-from visctrl.experiments.trials import load_study
-from visctrl.experiments.workers import Died, LocalWorkers, Workers
+from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.study import cluster
+from visctrl.study.cluster import ClusterError, ClusterWorkers
+from visctrl.study.log import StudyLog
+from visctrl.study.runner import run_study, table_rows
+from visctrl.study.table import write_table
+from visctrl.study.trials import load_study
+from visctrl.study.workers import Died, LocalWorkers, Workers
 
 pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
 

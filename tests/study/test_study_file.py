@@ -14,9 +14,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robots.errors import InputError
-from visctrl.experiments.study import Draw, Study, study_names
-from visctrl.experiments.trials import LoadedStudy, load_study
+from visctrl.robots.errors import InputError
+from visctrl.study.grid import Draw, Study, study_names
+from visctrl.study.trials import LoadedStudy, load_study
 
 GRID = {"mock.noise_px": [0.0, 1.0], "controller.tau_s": [10.0, 12.0, 14.0]}
 
@@ -176,7 +176,7 @@ def test_a_scenario_beside_the_study_is_found(tmp_path: Path) -> None:
 
 
 def test_a_run_is_another_one_when_a_file_that_it_names_has_changed(tmp_path: Path) -> None:
-    from hal.central_camera import load_camera
+    from visctrl.hal.cameras.central import load_camera
 
     camera = load_camera("fisheye")
     file = tmp_path / "camera.yaml"

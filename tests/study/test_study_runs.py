@@ -18,14 +18,14 @@ from typing import Any
 import pytest
 import yaml
 
-from robots.errors import InputError
 from visctrl.cli.main import main
-from visctrl.experiments.study_log import LOG, StudyLog
-from visctrl.experiments.study_runs import run_study, table_rows
-from visctrl.experiments.study_table import TABLE, write_table
-from visctrl.experiments.trials import LoadedStudy, load_study
-from visctrl.experiments.workers import LocalWorkers, Workers
+from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.study.log import LOG, StudyLog
+from visctrl.study.runner import run_study, table_rows
+from visctrl.study.table import TABLE, write_table
+from visctrl.study.trials import LoadedStudy, load_study
+from visctrl.study.workers import LocalWorkers, Workers
 
 ROOT = Path(__file__).parents[2]
 #: Short runs that end for different reasons: too short a time, too few features, none in common.
@@ -257,7 +257,7 @@ def test_what_cannot_be_used_is_refused(
     monkeypatch.chdir(tmp_path)
     if "--cluster" in arguments and "--workers" not in arguments:
         pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-        monkeypatch.setattr("visctrl.experiments.cluster.CONNECT_S", 0.5)
+        monkeypatch.setattr("visctrl.study.cluster.CONNECT_S", 0.5)
     assert run([*arguments, "-q"]) == 2
     [line, *_] = [line for line in capfd.readouterr().err.splitlines() if "visctrl:" in line]
     assert re.search(message, line)

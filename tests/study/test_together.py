@@ -12,17 +12,17 @@ from typing import Any
 import pytest
 import yaml
 
-from robots.errors import InputError
-from visctrl.experiments import study_runs
-from visctrl.experiments.study import Study
-from visctrl.experiments.study_log import LOG, StudyLog
-from visctrl.experiments.study_runs import Group, plan_of, run_group, run_study, table_rows
-from visctrl.experiments.study_table import row_of, write_table
-from visctrl.experiments.trials import load_study
-from visctrl.experiments.workers import Died, LocalWorkers, Results, Workers
 from visctrl.montecarlo.kinds import batchable
+from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.session import run_session
+from visctrl.study import runner as study_runs
+from visctrl.study.grid import Study
+from visctrl.study.log import LOG, StudyLog
+from visctrl.study.runner import Group, plan_of, run_group, run_study, table_rows
+from visctrl.study.table import row_of, write_table
+from visctrl.study.trials import load_study
+from visctrl.study.workers import Died, LocalWorkers, Results, Workers
 
 #: Cells that can be driven together, cells that cannot, and one whose runs are refused.
 STUDY: dict[str, Any] = {

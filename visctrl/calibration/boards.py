@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.errors import InputError
+from visctrl.robots.errors import InputError
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from hal.central_camera import CentralCamera
 from visctrl.calibration.boards import Board, Corners
+from visctrl.hal.cameras.central import CentralCamera
 
 Array = NDArray[np.float64]
 

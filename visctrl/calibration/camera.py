@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera
-from robots.errors import InputError
 from visctrl.calibration.boards import Board, Corners
 from visctrl.calibration.bundle import Bundle, Fit, camera_from
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.robots.errors import InputError
 
 Array = NDArray[np.float64]
 Model = Literal["auto", "omni", "pinhole"]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.errors import InputError
 from visctrl.calibration.edges import Segments
+from visctrl.robots.errors import InputError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from hal.camera_files import FORMATS, Format, read_camera, widest_polar_deg, write_camera
-from hal.central_camera import CentralCamera, load_camera
-from robots.documents import validate
-from robots.errors import InputError
 from visctrl.calibration.boards import Board
 from visctrl.calibration.camera import Calibration, Model, Sight, calibrate
 from visctrl.calibration.centre import Centre, find_centre
 from visctrl.calibration.edges import Segments, find_segments
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.files import FORMATS, Format, read_camera, widest_polar_deg, write_camera
+from visctrl.robots.documents import validate
+from visctrl.robots.errors import InputError
 from visctrl.runtime.recording import SUFFIXES, image_files, read_image
 
 Grey = NDArray[np.uint8]

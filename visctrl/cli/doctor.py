@@ -17,18 +17,18 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hal.central_camera import CentralCamera
-from hal.clock import WallClock
-from hal.types import Pose
-from robots import load_robot
-from robots.errors import VisctrlError
-from visctrl.config import CameraChoice, Override, load_scenario
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.clock import WallClock
+from visctrl.hal.types import Pose
+from visctrl.robots import load_robot
+from visctrl.robots.errors import VisctrlError
+from visctrl.runtime.config import CameraChoice, Override, load_scenario
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import chosen_camera, make_plan
 from visctrl.runtime.registry import REGISTRIES
 
 if TYPE_CHECKING:
-    from sim.drawers import DrawerName
+    from visctrl.sim.render.renderer_choice import DrawerName
 
 _PACKAGES = (
     "numpy", "scipy", "opencv-python-headless", "pybullet", "filterpy", "pyyaml", "pyserial",
@@ -158,7 +158,7 @@ def serial_ports() -> Iterator[Finding]:
 
 def robot(port: str) -> Iterator[Finding]:
     """Ask the robot who it is and how it is set; it does not move."""
-    from hal.pioneer.base import PioneerBase
+    from visctrl.hal.pioneer.base import PioneerBase
 
     base = PioneerBase(port, "p3dx", load_robot("p3dx").operating, WallClock())
     status = base.inspect()
@@ -197,7 +197,7 @@ def robot(port: str) -> Iterator[Finding]:
 
 def camera_stream(source: str, choice: CameraChoice) -> Iterator[Finding]:
     """Measure the camera's rate and the age of its pictures."""
-    from hal.capture import CaptureCamera, CaptureOptions
+    from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
 
     clock = WallClock()
     model = chosen_camera(choice)
@@ -225,7 +225,7 @@ def camera_stream(source: str, choice: CameraChoice) -> Iterator[Finding]:
 
 def renderers(camera: CameraChoice) -> Iterator[Finding]:
     """Check the simulator's renderers, and how fast they draw."""
-    from sim.drawers import DRAWERS, drawer_problem
+    from visctrl.sim.render.renderer_choice import DRAWERS, drawer_problem
 
     model = chosen_camera(camera)
     for drawer in DRAWERS:
@@ -240,8 +240,8 @@ def renderers(camera: CameraChoice) -> Iterator[Finding]:
 
 def _drawing_times(drawer: DrawerName, model: CentralCamera) -> Iterator[float]:
     """Yield what single pictures take (ms)."""
-    from sim.drawers import open_renderer
-    from sim.scene import load_scene
+    from visctrl.sim.render.renderer_choice import open_renderer
+    from visctrl.sim.world.scene import load_scene
 
     renderer = open_renderer(drawer, load_scene("hall"), model)
     try:

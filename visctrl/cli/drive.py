@@ -12,12 +12,12 @@ from typing import Protocol
 
 from rich.console import Console
 
-from hal.clock import WallClock
-from hal.interfaces import Clock
-from hal.pioneer.base import PioneerBase
-from hal.types import STANDSTILL, Velocity
-from robots import load_robot
-from robots.errors import InputError
+from visctrl.hal.clock import WallClock
+from visctrl.hal.interfaces import Clock
+from visctrl.hal.pioneer.base import PioneerBase
+from visctrl.hal.types import STANDSTILL, Velocity
+from visctrl.robots import load_robot
+from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
 
 #: Without a key for so long, the robot stops. Keyboards repeat a held key faster than this, but

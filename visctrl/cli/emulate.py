@@ -13,26 +13,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from hal.central_camera import CentralCamera
-from hal.errors import CameraError, LinkError
-from hal.pioneer.emulator.character import EMULATED, PERSONALITIES, character
-from hal.pioneer.emulator.emulator import Emulator
-from hal.pioneer.emulator.faults import FaultSchedule, parse_fault
-from hal.pioneer.emulator.firmware import Firmware
-from hal.pioneer.emulator.ports import Port, PtyPort, TcpPort
-from hal.pioneer.emulator.traffic import Traffic
-from hal.types import Pose, Velocity
-from robots import load_robot
-from robots.documents import suggestion
-from robots.errors import InputError
-from robots.model import Mount
-from robots.unicycle import step_exact
-from sim.emulated_camera import CameraSpec, EmulatedCamera, State
-from sim.scene import load_scene
-from sim.scene_world import SceneWorld
-from visctrl.config import CameraChoice
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.emulator.emulator import Emulator
+from visctrl.hal.emulator.faults import FaultSchedule, parse_fault
+from visctrl.hal.emulator.firmware import Firmware
+from visctrl.hal.emulator.firmware_profile import EMULATED, PERSONALITIES, character
+from visctrl.hal.emulator.ports import Port, PtyPort, TcpPort
+from visctrl.hal.emulator.traffic import Traffic
+from visctrl.hal.errors import CameraError, LinkError
+from visctrl.hal.types import Pose, Velocity
+from visctrl.robots import load_robot
+from visctrl.robots.documents import suggestion
+from visctrl.robots.errors import InputError
+from visctrl.robots.model import Mount
+from visctrl.robots.unicycle import step_exact
+from visctrl.runtime.config import CameraChoice
 from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.runtime.plan import chosen_camera
+from visctrl.sim.emulated_camera import CameraSpec, EmulatedCamera, State
+from visctrl.sim.world.scene import load_scene
+from visctrl.sim.world.scene_world import SceneWorld
 
 _CHECK_S = 0.2
 _DEFAULT_TCP = 8101

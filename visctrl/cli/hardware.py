@@ -200,7 +200,7 @@ def doctor_command(
     The robot does not move. Exit code 3 if a check fails.
     """
     from visctrl.cli.doctor import examine
-    from visctrl.config import CameraChoice
+    from visctrl.runtime.config import CameraChoice
 
     chosen = CameraChoice(name=camera or "hypercatadioptric", width=width)
     _finish(lambda: examine(port, camera_url, chosen, quick=quick))

@@ -74,7 +74,7 @@ def replay_command(
     """
     from visctrl.cli.overrides import flag_overrides
     from visctrl.cli.replay import replay_images
-    from visctrl.config import Override
+    from visctrl.runtime.config import Override
 
     # Options set with --set are those of the plugins named here, whatever the order.
     named = [

@@ -8,19 +8,19 @@ from collections.abc import Iterable, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from hal.central_camera import camera_names, load_camera
-from robots import load_robot, robot_names
-from visctrl.config import (
+from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.robots import load_robot, robot_names
+from visctrl.runtime.config import (
     Override,
     load_scenario,
     scenario_names,
     scenario_title,
     to_yaml,
 )
-from visctrl.experiments.study import study_names, study_title
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.schemes import SCHEMES, missing_plugins
+from visctrl.study.grid import study_names, study_title
 
 _WIDE = 200
 

@@ -29,7 +29,7 @@ def main() -> None:
     try:
         app()
     except Exception as error:
-        from robots.errors import VisctrlError
+        from visctrl.robots.errors import VisctrlError
 
         if not isinstance(error, VisctrlError):
             raise
@@ -39,7 +39,7 @@ def main() -> None:
 
 def _begin_workers() -> None:
     """Have worker processes begin to import what this one imports too, at the same time."""
-    from visctrl.experiments.workers import begin_early
+    from visctrl.study.workers import begin_early
 
     begin_early()
 

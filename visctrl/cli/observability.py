@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.errors import InputError
-from visctrl.control.paths import ParabolicPath
 from visctrl.geometry.observability import (
     Output,
     discrete_matrix,
@@ -23,7 +21,9 @@ from visctrl.geometry.observability import (
     unobservable,
 )
 from visctrl.geometry.pose_outputs import epipole_bearings, normalised_elements
-from visctrl.geometry.trifocal import ELEMENTS
+from visctrl.geometry.trifocal.tensor import ELEMENTS
+from visctrl.planning.paths import ParabolicPath
+from visctrl.robots.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -166,7 +166,7 @@ def _show(report: list[dict[str, Any]]) -> None:
 
 def _recorded(run: Path) -> tuple[Array, Array, Array]:
     """Return times, poses and velocities of the main stage of a recorded run."""
-    from visctrl.report.ticks import read_ticks
+    from visctrl.viewers.report.ticks import read_ticks
 
     path = run / "ticks.csv" if run.is_dir() else run
     if not path.is_file():
@@ -187,7 +187,7 @@ def _planned(
     start: tuple[float, float, float], tau_s: float, period_s: float, offset: float
 ) -> tuple[Array, Array, Array]:
     """Return the motion along the parabola from a start to the target, under the control law."""
-    from robots.unicycle import arc
+    from visctrl.robots.unicycle import arc
 
     x, y, phi = start[0], start[1], math.radians(start[2])
     if y >= 0.0:

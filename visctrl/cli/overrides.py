@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from visctrl.config import Override, parse_setting
+from visctrl.runtime.config import Override, parse_setting
 
 
 def flag_overrides(

@@ -11,9 +11,9 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from robots.errors import InputError
 from visctrl.cli.run import RUNS
-from visctrl.config import Override, load_scenario
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.images import TICK
 from visctrl.runtime.recording import Recording, open_recording
 from visctrl.runtime.records import Observer, TickRecord

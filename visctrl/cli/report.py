@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from visctrl.report.comparison import write_comparison
-from visctrl.report.run_report import write_report
+from visctrl.viewers.report.comparison import write_comparison
+from visctrl.viewers.report.run_report import write_report
 
 COMPARISON = Path("comparison.html")
 

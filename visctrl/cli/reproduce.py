@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from visctrl.experiments.catalogue import ENTRIES, Entry, entries_named
-from visctrl.experiments.entry import Bench, Row
-from visctrl.experiments.jobs import default_workers
+from visctrl.reproduce.catalogue import ENTRIES, Entry, entries_named
+from visctrl.reproduce.entry import Bench, Row
+from visctrl.study.jobs import default_workers
 
 
 def show_entries() -> None:

@@ -13,10 +13,10 @@ from typing import Any
 
 from rich.console import Console
 
-from robots.errors import InputError
 from visctrl.cli.progress import Progress
 from visctrl.cli.watching import Watching, watchers
-from visctrl.config import Override, load_scenario
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import Outcome, run_session

@@ -12,15 +12,15 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from robots.errors import InputError
 from visctrl.cli.study_progress import StudyProgress
-from visctrl.experiments.study_log import StudyLog
-from visctrl.experiments.study_runs import run_study, table_rows
-from visctrl.experiments.study_summary import SUMMARY, summarised
-from visctrl.experiments.study_table import Row, write_table, write_text
-from visctrl.experiments.trials import LoadedStudy, load_study
-from visctrl.experiments.workers import LocalWorkers, Workers, default_workers
+from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupted, Interrupts
+from visctrl.study.log import StudyLog
+from visctrl.study.runner import run_study, table_rows
+from visctrl.study.summary import SUMMARY, summarised
+from visctrl.study.table import Row, write_table, write_text
+from visctrl.study.trials import LoadedStudy, load_study
+from visctrl.study.workers import LocalWorkers, Workers, default_workers
 
 RUNS = Path("runs")
 #: Cells that are printed; the summary file has them all.
@@ -87,7 +87,7 @@ def _workers(count: int | None, cluster: str | None) -> Iterator[Workers]:
         raise InputError(
             "--workers: a cluster has its own workers; leave --workers or --cluster out"
         )
-    from visctrl.experiments.cluster import ClusterWorkers
+    from visctrl.study.cluster import ClusterWorkers
 
     with closing(ClusterWorkers(cluster)) as workers:
         yield workers

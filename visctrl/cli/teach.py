@@ -10,18 +10,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hal.errors import CameraError
-from hal.interfaces import Backend
-from hal.types import Frame
-from robots.errors import InputError
 from visctrl.cli.run import check_flags
-from visctrl.config import Override, load_scenario
+from visctrl.hal.errors import CameraError
+from visctrl.hal.interfaces import Backend
+from visctrl.hal.types import Frame
 from visctrl.perception.quality import Quality, assess
-from visctrl.report.frames import draw_frame, save_picture
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
-from visctrl.target_view import TargetView, now_text
+from visctrl.runtime.target_view import TargetView, now_text
+from visctrl.viewers.video.frames import draw_frame, save_picture
 
 #: Longest wait for another picture (s).
 _PICTURE_S = 2.0

@@ -14,8 +14,8 @@ from visctrl.runtime.session import Outcome
 from visctrl.runtime.stop import StopRequest
 
 if TYPE_CHECKING:
-    from visctrl.report.viewer import ViewerStream
-    from visctrl.web.server import WebPage
+    from visctrl.viewers.foxglove.stream import ViewerStream
+    from visctrl.viewers.web.server import WebPage
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class Watchers:
 
     def add_page(self, plan: Plan, address: str) -> WebPage:
         """Make the page; it is served once it is entered."""
-        from visctrl.web.address import Address
-        from visctrl.web.server import DEFAULT_PORT, OPTION, WebPage
-        from visctrl.web.view import LiveView
+        from visctrl.viewers.web.address import Address
+        from visctrl.viewers.web.server import DEFAULT_PORT, OPTION, WebPage
+        from visctrl.viewers.web.view import LiveView
 
         view = LiveView(plan)
         page = WebPage(view, self.stop, Address.parse(address, DEFAULT_PORT, OPTION))
@@ -55,8 +55,8 @@ class Watchers:
 
     def add_stream(self, plan: Plan, address: str) -> ViewerStream:
         """Serve the Foxglove app from now on."""
-        from visctrl.report.viewer import DEFAULT_PORT, ViewerStream
-        from visctrl.web.address import Address
+        from visctrl.viewers.foxglove.stream import DEFAULT_PORT, ViewerStream
+        from visctrl.viewers.web.address import Address
 
         option = "--live-address" if address else "--live"
         where = Address.parse(address, DEFAULT_PORT, option)
@@ -85,7 +85,7 @@ def watchers(plan: Plan, watching: Watching) -> Iterator[Watchers]:
         Something cannot be started.
     """
     if watching.mcap:
-        from visctrl.report.viewer import require_viewer
+        from visctrl.viewers.foxglove.stream import require_viewer
 
         require_viewer("--mcap")
     found = Watchers()

@@ -29,7 +29,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robots.unicycle import exact_jacobians, step_exact
+from visctrl.robots.unicycle import exact_jacobians, step_exact
 
 Array = NDArray[np.float64]
 Output = Callable[[Array], tuple[Array, Array]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from visctrl.geometry.trifocal import (
+from visctrl.geometry.trifocal.tensor import (
     T121,
     current_view_basis,
     normalised,

@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 
-from robots import Limits
-from visctrl.control.face_target import STANDING, FaceTargetOptions
-from visctrl.estimation.planar_motion import PlanarMotionOptions
 from visctrl.montecarlo.bases import Shapers
 from visctrl.montecarlo.eyes import View
 from visctrl.montecarlo.fleet import Fleet, Stage
 from visctrl.montecarlo.planar import search
 from visctrl.montecarlo.planar_fit import Motions, Rays, refine
 from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
+from visctrl.robots import Limits
 from visctrl.runtime.plan import Plan, StagePlan
+from visctrl.schemes.approach.estimator import PlanarMotionOptions
+from visctrl.schemes.approach.law import STANDING, FaceTargetOptions
 
 
 class Approach(Stage):
@@ -67,7 +67,7 @@ def follow(motions: Motions, views: Rays, turn: Array, options: PlanarMotionOpti
 
 
 class FaceTargets(Robots):
-    """The controllers of R robots: see `visctrl.control.face_target.FaceTarget`.
+    """The controllers of R robots: see `visctrl.schemes.approach.law.FaceTarget`.
 
     Attributes
     ----------

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hal.mock import MockOptions
-from robots import Limits
-from visctrl.control.shaping import OMEGA_STEP, V_STEP
+from visctrl.hal.mock.backend import MockOptions
 from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
+from visctrl.robots import Limits
 from visctrl.runtime.plan import Plan
+from visctrl.schemes.command_shaping import OMEGA_STEP, V_STEP
 
 #: Longest step of a motion while it is ramping, and one that is none (s): as the mock has it.
 _STEP_S, _INSTANT_S = 0.01, 1e-12
@@ -91,7 +91,7 @@ class Bases(Robots):
 
 
 class Shapers(Robots):
-    """R command shapers: see `visctrl.control.shaping.CommandShaper`."""
+    """R command shapers: see `visctrl.schemes.command_shaping.CommandShaper`."""
 
     def __init__(self, count: int, limits: Limits | None, *, whole_units: bool) -> None:
         self._limits, self._whole_units = limits, whole_units
@@ -137,7 +137,7 @@ class Guards(Robots):
 
 
 class Reckonings(Robots):
-    """R dead reckonings, with ramps: see `visctrl.estimation.scale.DeadReckoning`."""
+    """R dead reckonings, with ramps: see `visctrl.schemes.path_scale.DeadReckoning`."""
 
     def __init__(self, count: int, limits: Limits | None) -> None:
         self._limits, self._velocity = limits, Velocities.none(count)
@@ -186,7 +186,7 @@ def _whole(value: Array, bound: float) -> Array:
 
 
 def _along_arcs(pose: Array, velocities: Velocities, dt: Array) -> Array:
-    """Return poses (R, 3) moved along exact arcs: see `robots.unicycle.along_arc`."""
+    """Return poses (R, 3) moved along exact arcs: see `visctrl.robots.unicycle.along_arc`."""
     x, y, phi = pose.T
     half = velocities.omega * dt / 2.0
     turning = np.abs(half) > 1e-9

@@ -1,4 +1,4 @@
-"""The practical trifocal law of many robots: `visctrl.control.trifocal_smc` in arrays."""
+"""The practical trifocal law of many robots: `visctrl.schemes.trifocal.law_smc` in arrays."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import math
 
 import numpy as np
 
-from robots import Limits
-from visctrl.control.arrival import PATIENCE_S as ARRIVAL_PATIENCE_S
-from visctrl.control.arrival import STANDING, ArrivalOptions
-from visctrl.control.trifocal_law import CURVATURE, FREE_TURN
-from visctrl.control.trifocal_smc import (
+from visctrl.montecarlo.bases import Shapers, bounded
+from visctrl.montecarlo.estimation import Situations
+from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
+from visctrl.robots import Limits
+from visctrl.schemes.termination import PATIENCE_S as ARRIVAL_PATIENCE_S
+from visctrl.schemes.termination import STANDING, ArrivalOptions
+from visctrl.schemes.trifocal.law import CURVATURE, FREE_TURN
+from visctrl.schemes.trifocal.law_smc import (
     ASTRAY,
     DAMPING_SIGMAS,
     LEEWAY_M,
@@ -19,9 +22,6 @@ from visctrl.control.trifocal_smc import (
     TrifocalSmcOptions,
     descent,
 )
-from visctrl.montecarlo.bases import Shapers, bounded
-from visctrl.montecarlo.estimation import Situations
-from visctrl.montecarlo.robots import Array, Mask, Robots, Velocities
 
 ADVANCE, POSITION, ORIENTATION, RETREAT = range(4)
 
@@ -178,7 +178,7 @@ class Laws(Robots):
 
 
 class Arrivals(Robots):
-    """The ends of R drives: see `visctrl.control.arrival.Arrival`."""
+    """The ends of R drives: see `visctrl.schemes.termination.Arrival`."""
 
     def __init__(self, count: int, options: ArrivalOptions) -> None:
         self._options = options

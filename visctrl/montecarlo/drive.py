@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from hal.mock import MockOptions, Purpose
-from hal.mock_scene import scatter_many
-from hal.types import Pose
-from robots.unicycle import wrap_angle
-from visctrl.config import Scenario
+from visctrl.hal.mock.backend import MockOptions, Purpose
+from visctrl.hal.mock.scene import scatter_many
+from visctrl.hal.types import Pose
 from visctrl.montecarlo.approach import Approach
 from visctrl.montecarlo.fleet import Fleet
 from visctrl.montecarlo.kinds import alike, batchable, kind_of
 from visctrl.montecarlo.trifocal import Trifocal
+from visctrl.robots.unicycle import wrap_angle
+from visctrl.runtime.config import Scenario
 from visctrl.runtime.plan import Plan, StagePlan
 from visctrl.runtime.session import run_session
 from visctrl.runtime.summary import judge

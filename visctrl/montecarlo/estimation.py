@@ -1,4 +1,4 @@
-"""The tensor of many robots: `visctrl.estimation.tensor` with the constrained fit, in arrays.
+"""The tensor of many robots: `visctrl.schemes.trifocal.estimator` with the constrained fit, in arrays.
 
 With t_1, φ1 and z = (cos φ2, sin φ2, t_x2, t_y2) n known, (3.2) makes everything that the law
 reads off the tensor a quotient of few products: T121 = t_y1 z_1 + sin φ1 z_4' and so on, so that
@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from visctrl.estimation.constrained import CONTRADICTION, DOUBTFUL, DRIFT, RECONSIDER
-from visctrl.estimation.initial_from_bearings import InitialFromBearings
-from visctrl.estimation.initial_view import InitialView
-from visctrl.estimation.scale import ALIKE, DELAY_SD_S
-from visctrl.estimation.tensor_method import TensorOptions
+from visctrl.contracts import Views
 from visctrl.montecarlo.eyes import View
 from visctrl.montecarlo.fit import Couplings, Fits, couple, refine
 from visctrl.montecarlo.initial_views import InitialViews
 from visctrl.montecarlo.relation import FixedViews
 from visctrl.montecarlo.robots import Array, Mask, Numbers, Robots, taken
-from visctrl.plugins import Views
+from visctrl.schemes.path_scale import ALIKE, DELAY_SD_S
+from visctrl.schemes.trifocal.constrained_fit import CONTRADICTION, DOUBTFUL, DRIFT, RECONSIDER
+from visctrl.schemes.trifocal.initial_from_bearings import InitialFromBearings
+from visctrl.schemes.trifocal.initial_view import InitialView
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 Pair = tuple[Array, Array]
 
@@ -197,7 +197,7 @@ class Tensors(Robots):
         self._regress(seen, np.sqrt(np.maximum(variance, 0.0) / 2.0))
 
     def _regress(self, seen: Pair, seen_sd: Array) -> None:
-        """Add a moment to the regression of the paths: see `visctrl.estimation.scale`."""
+        """Add a moment to the regression of the paths: see `visctrl.schemes.path_scale`."""
         (x, y), (vx, vy), (sx, sy) = self._driven, self._velocity, seen
         weight = 1.0 / (ALIKE * np.maximum(seen_sd, 1e-9) ** 2)
         n11, n12, n22, r1, r2 = self._normal
@@ -261,7 +261,7 @@ def _rotated(vector: Pair, angle: Array) -> Pair:
 def _slopes(n11: Array, n12: Array, n22: Array, r1: Array, r2: Array) -> Pair:
     """Return κ of the normal equations and its standard deviation, 0 where it is not known.
 
-    See `visctrl.estimation.scale.PathScale`.
+    See `visctrl.schemes.path_scale.PathScale`.
     """
     known = (n11 > 0.0) & (r1 > 0.0)
     n11, r1 = np.where(known, n11, 1.0), np.where(known, r1, 1.0)

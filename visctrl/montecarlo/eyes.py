@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera
-from hal.mock import MockOptions, Purpose
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.mock.backend import MockOptions, Purpose
 from visctrl.montecarlo.planar_fit import median
 from visctrl.montecarlo.robots import Array, Mask, Parts, Robots
 from visctrl.perception.features import FeaturesOptions

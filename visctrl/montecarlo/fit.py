@@ -1,4 +1,4 @@
-"""The constrained tensor fit of many robots at once: `visctrl.estimation.constrained` in arrays.
+"""The constrained tensor fit of many robots at once: `visctrl.schemes.trifocal.constrained_fit` in arrays.
 
 R robots, N features; the robots come first in every array. The equations and the constants are
 those of the single fit, which is also what these functions are tested against.
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from visctrl.geometry.trifocal_fit import CONVERGED, LONGEST_STEP, PACE, TINY, WIDTH
+from visctrl.geometry.trifocal.fit import CONVERGED, LONGEST_STEP, PACE, TINY, WIDTH
 from visctrl.montecarlo.relation import Relation, Slopes
 from visctrl.montecarlo.robots import Array, Index, Mask, taken
 
@@ -20,7 +20,7 @@ _TINY = TINY * np.eye(4)
 
 
 class Fits(NamedTuple):
-    """R fits: see `visctrl.geometry.trifocal_fit.Fit`.
+    """R fits: see `visctrl.geometry.trifocal.fit.Fit`.
 
     z (R, 4), covariance (R, 4, 4), weights (R, N), spread (R,). rows (R, 7, N): derivatives of
     the residuals by z, the residuals themselves (rad), and room for what `couple` adds.
@@ -44,7 +44,7 @@ class Fits(NamedTuple):
 
 
 class Couplings(NamedTuple):
-    """R couplings to the initial views: see `visctrl.geometry.trifocal_fit.Coupling`.
+    """R couplings to the initial views: see `visctrl.geometry.trifocal.fit.Coupling`.
 
     sensitivity (R, 4, 2), information (R, 2, 2), gradient (R, 2).
     """
@@ -57,7 +57,7 @@ class Couplings(NamedTuple):
 def refine(
     relation: Relation, start: Array, sigma: Array, seen: Array, *, iterations: int = 20
 ) -> Fits:
-    """Refine z (R, 4) from ``start``: see `visctrl.geometry.trifocal_fit.refine`.
+    """Refine z (R, 4) from ``start``: see `visctrl.geometry.trifocal.fit.refine`.
 
     Every robot stops where it would stop alone. seen : (R, N), 1 where a feature is seen, else 0.
     """

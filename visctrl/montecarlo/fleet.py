@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hal.types import Pose
+from visctrl.hal.types import Pose
 from visctrl.montecarlo.bases import Bases, Guards
 from visctrl.montecarlo.eyes import Eyes, View
 from visctrl.montecarlo.planar_fit import Rays

@@ -1,4 +1,4 @@
-"""The initial views of many drives: `visctrl.estimation.initial_view` in arrays."""
+"""The initial views of many drives: `visctrl.schemes.trifocal.initial_view` in arrays."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from visctrl.estimation.initial_view import AGREEMENT, ALIKE, AT_MOST, CONDITION
-from visctrl.geometry.symmetric import RANK
+from visctrl.geometry.robust.symmetric import RANK
 from visctrl.montecarlo.fit import Couplings
 from visctrl.montecarlo.robots import Array, Mask, Robots
+from visctrl.schemes.trifocal.initial_view import AGREEMENT, ALIKE, AT_MOST, CONDITION
 
 
 class Matrices(NamedTuple):
-    """R symmetric matrices [[a, b], [b, c]]: see `visctrl.geometry.symmetric.Symmetric2`."""
+    """R symmetric matrices [[a, b], [b, c]]: see `visctrl.geometry.robust.symmetric.Symmetric2`."""
 
     a: Array
     b: Array

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 
-from hal.actuation import ActuationOptions
-from hal.central_camera import CentralCamera
-from hal.faults import Faults
-from hal.mock import MockBackend, MockOptions, Scatter
-from visctrl.config import Start
-from visctrl.control.face_target import FaceTarget
-from visctrl.control.trifocal_smc import TrifocalSmc, TrifocalSmcOptions
-from visctrl.estimation.planar_motion import PlanarMotionEstimator
-from visctrl.estimation.tensor import Tensor
-from visctrl.estimation.tensor_method import TensorOptions
+from visctrl.hal.actuation import ActuationOptions
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.faults import Faults
+from visctrl.hal.mock.backend import MockBackend, MockOptions, Scatter
 from visctrl.perception.features import IdentifiedFeatures
+from visctrl.runtime.config import Start
 from visctrl.runtime.plan import Plan, StagePlan
+from visctrl.schemes.approach.estimator import PlanarMotionEstimator
+from visctrl.schemes.approach.law import FaceTarget
+from visctrl.schemes.trifocal.estimator import Tensor
+from visctrl.schemes.trifocal.law_smc import TrifocalSmc, TrifocalSmcOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 
 def batchable(plan: Plan) -> bool:

@@ -1,4 +1,4 @@
-"""Planar motions between many pairs of views: `visctrl.geometry.planar` in arrays.
+"""Planar motions between many pairs of views: `visctrl.geometry.two_view.planar` in arrays.
 
 R pairs of views with N features, some of them not shared. The equations and constants are those
 of the single search, which is also what these functions are tested against.
@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from visctrl.geometry.planar import MINIMUM_FEATURES, two_point_motions
-from visctrl.geometry.trifocal_solvers import NOISE_MEDIAN, NOISE_MEDIAN_SD, SIGNIFICANCE
+from visctrl.geometry.trifocal.solvers import NOISE_MEDIAN, NOISE_MEDIAN_SD, SIGNIFICANCE
+from visctrl.geometry.two_view.planar import MINIMUM_FEATURES, two_point_motions
 from visctrl.montecarlo.planar_fit import Motions, Rays, median, refine
 from visctrl.montecarlo.robots import Array, Index, Mask
 
@@ -106,7 +106,7 @@ class _Scores:
     a, b : (R, N, 3) arrays
         Unit rays.
     theta, alpha : (R, H) arrays
-        The motions: see `visctrl.geometry.planar`.
+        The motions: see `visctrl.geometry.two_view.planar`.
     limit : (R,) array
         Where a residual counts as an outlier's (rad).
     """

@@ -1,4 +1,4 @@
-"""Planar motions of many pairs of views, refined by `visctrl.geometry.planar`."""
+"""Planar motions of many pairs of views, refined by `visctrl.geometry.two_view.planar`."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robots.unicycle import wrap_angle
-from visctrl.geometry.parallax import meeting
-from visctrl.geometry.planar import NEAREST, refine_motions
-from visctrl.geometry.planar_fit import Motion, RayPairs
+from visctrl.contracts import Health
+from visctrl.geometry.two_view.parallax import meeting
+from visctrl.geometry.two_view.planar import NEAREST, refine_motions
+from visctrl.geometry.two_view.planar_fit import Motion, RayPairs
 from visctrl.montecarlo.robots import Array, Mask, Parts, Robots
-from visctrl.plugins import Health
+from visctrl.robots.unicycle import wrap_angle
 
 #: Pairs of views that are refined at once: they fit in a processor's cache.
 _AT_ONCE = 16
 
 
 class Motions(NamedTuple):
-    """Planar motions of R pairs of views: see `visctrl.geometry.planar.PlanarMotion`.
+    """Planar motions of R pairs of views: see `visctrl.geometry.two_view.planar.PlanarMotion`.
 
     phi, direction (R,), covariance (R, 2, 2), of both. sound (R,): health is OK.
     """
@@ -63,7 +63,7 @@ class Rays(Robots):
         return linear.residual.reshape(self.shared.shape)
 
     def parallax(self, phi: Array, direction: Array) -> Array:
-        """Return signed parallaxes (R, N): see `visctrl.geometry.parallax.signed_parallax`."""
+        """Return signed parallaxes (R, N): see `visctrl.geometry.two_view.parallax.signed_parallax`."""
         return meeting(_along(self.a, direction), _along(self.b, direction + phi))
 
     def towards_points(self, phi: Array, direction: Array) -> Array:

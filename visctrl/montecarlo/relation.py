@@ -1,7 +1,7 @@
 """The trilinear relation of three views with a known initial view, of many robots at once.
 
 Feature by feature u, v, w are the bearings (sin θ, cos θ) in the initial, current and target
-view (see `visctrl.geometry.trifocal`), × is the cross product of two of them and · the dot
+view (see `visctrl.geometry.trifocal.tensor`), × is the cross product of two of them and · the dot
 product. With the initial view known, i.e. φ1 and t_1, and R_n what turns the target's axes into
 those of view n, the relation Σ T_ijk u_i v_j w_k = 0 of (3.1) and (3.2) falls into products
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from visctrl.control.trifocal_smc import TrifocalSmcOptions
-from visctrl.estimation.tensor_method import TensorOptions
 from visctrl.montecarlo.bases import Reckonings
 from visctrl.montecarlo.control import Laws
 from visctrl.montecarlo.estimation import Tensors
@@ -15,6 +13,8 @@ from visctrl.montecarlo.initial_views import InitialViews
 from visctrl.montecarlo.planar import identical, search
 from visctrl.montecarlo.robots import Array, Mask, Velocities
 from visctrl.runtime.plan import Plan
+from visctrl.schemes.trifocal.law_smc import TrifocalSmcOptions
+from visctrl.schemes.trifocal.tensor_method import TensorOptions
 
 
 class Trifocal(Stage):

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hal.central_camera import CentralCamera
-from hal.types import Features, Frame
-from robots.documents import Document
-from robots.errors import InputError
-from visctrl.plugins import Array, Context, Health, Match, Perception, Views
+from visctrl.contracts import Array, Context, Health, Match, Perception, Views
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import Features, Frame
+from visctrl.robots.documents import Document
+from visctrl.robots.errors import InputError
 
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]

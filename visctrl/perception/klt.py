@@ -13,12 +13,12 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from robots.documents import Document
+from visctrl.contracts import Context, Signal, Views
+from visctrl.perception.image_perception import NaturalOptions, NaturalPerception
+from visctrl.perception.landmark_tracker import Limits, Pursuit
 from visctrl.perception.landmarks import Landmarks, Recognised, recognise
-from visctrl.perception.natural import NaturalOptions, NaturalPerception
 from visctrl.perception.pictures import Picture
-from visctrl.perception.pursuit import Limits, Pursuit
-from visctrl.plugins import Context, Signal, Views
+from visctrl.robots.documents import Document
 
 # Standard deviation of a SIFT position before alignment (px).
 _SIFT_SIGMA_PX = 0.5

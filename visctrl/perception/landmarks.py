@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.geometry.planar import PlanarMotion, refine_planar_motion, sampson_residuals
+from visctrl.geometry.two_view.planar import PlanarMotion, refine_planar_motion, sampson_residuals
 from visctrl.perception.matching import Described, mutual_matches, planar_inliers
-from visctrl.perception.patches import Patches, Source
+from visctrl.perception.patch_alignment import Patches, Source
 from visctrl.perception.pictures import Picture
 from visctrl.perception.three_view import Fit, ThreeViewMap
 from visctrl.perception.unwrap import Canvas

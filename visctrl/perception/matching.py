@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.geometry.planar import PlanarMotion, ransac_planar_motion
+from visctrl.geometry.two_view.planar import PlanarMotion, ransac_planar_motion
 from visctrl.perception.selection import spread
 from visctrl.perception.unwrap import Canvas
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera
-from hal.errors import InputError
-from hal.types import Frame
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.errors import InputError
+from visctrl.hal.types import Frame
 from visctrl.perception.unwrap import Canvas, shrunk
 
 Grey = NDArray[np.uint8]

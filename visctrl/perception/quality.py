@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera
-from hal.types import Frame
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import Frame
+from visctrl.perception.image_perception import MARGIN_PX, NaturalOptions
 from visctrl.perception.matching import describe
-from visctrl.perception.natural import MARGIN_PX, NaturalOptions
 from visctrl.perception.pictures import averaged, checked, draw
 from visctrl.perception.unwrap import Canvas, canvas_for
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from robots.documents import Document
+from visctrl.contracts import Views
+from visctrl.perception.image_perception import NaturalOptions, NaturalPerception
 from visctrl.perception.landmarks import Landmarks, recognise
-from visctrl.perception.natural import NaturalOptions, NaturalPerception
 from visctrl.perception.pictures import Picture
-from visctrl.plugins import Views
+from visctrl.robots.documents import Document
 
 # Standard deviation of a SIFT keypoint's position (px).
 _SIGMA_PX = 0.4

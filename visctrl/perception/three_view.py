@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.geometry.planar import PlanarMotion
+from visctrl.geometry.two_view.planar import PlanarMotion
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hal.central_camera import CentralCamera
+from visctrl.hal.cameras.central import CentralCamera
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

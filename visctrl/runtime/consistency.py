@@ -15,11 +15,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hal.types import Pose
-from visctrl.estimation.pose_estimate import Need, PoseEstimate
-from visctrl.plugins import Estimate, Estimator, Signal
+from visctrl.contracts import Estimate, Estimator, Signal
+from visctrl.hal.types import Pose
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import estimate_type
+from visctrl.schemes.pose.estimate import Need, PoseEstimate
 
 NAME = "consistency"
 #: Share of the values of a consistent filter between the bounds.

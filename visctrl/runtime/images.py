@@ -17,9 +17,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera
-from hal.types import Frame
-from visctrl.plugins import Match
+from visctrl.contracts import Match
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import Frame
 from visctrl.runtime.recorder import IMAGES
 from visctrl.runtime.records import Observer, TickRecord
 

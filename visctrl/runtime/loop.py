@@ -9,11 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hal.errors import BaseFaultError
-from hal.interfaces import Backend
-from hal.types import STANDSTILL, Frame, Odometry, Pose, Velocity
-from robots.errors import InputError, VisctrlError
-from visctrl.plugins import (
+from visctrl.contracts import (
     Controller,
     Decision,
     Estimate,
@@ -24,6 +20,10 @@ from visctrl.plugins import (
     Plugin,
     Views,
 )
+from visctrl.hal.errors import BaseFaultError
+from visctrl.hal.interfaces import Backend
+from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Velocity
+from visctrl.robots.errors import InputError, VisctrlError
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.interrupts import Interrupts

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.types import Pose
+from visctrl.hal.types import Pose
 from visctrl.runtime.consistency import ConsistencyMeter
 from visctrl.runtime.records import COMPUTE, STAGES, Observer, TickRecord
 

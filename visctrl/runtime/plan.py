@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from hal.camera_files import read_camera
-from hal.central_camera import CentralCamera, load_camera
-from hal.interfaces import Backend
-from robots import Limits, Robot, load_robot
-from robots.documents import Document, validate
-from robots.errors import InputError
-from robots.model import Mount
-from visctrl.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
-from visctrl.plugins import Context, Controller, Estimator, ObstacleProvider, Perception
+from visctrl.contracts import Context, Controller, Estimator, ObstacleProvider, Perception
+from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.files import read_camera
+from visctrl.hal.interfaces import Backend
+from visctrl.robots import Limits, Robot, load_robot
+from visctrl.robots.documents import Document, validate
+from visctrl.robots.errors import InputError
+from visctrl.robots.model import Mount
+from visctrl.runtime.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
 from visctrl.runtime.registry import (
     REGISTRIES,
     Registries,
@@ -30,7 +30,7 @@ from visctrl.runtime.schemes import (
     Scheme,
     scheme_named,
 )
-from visctrl.target_view import TargetView, load_target
+from visctrl.runtime.target_view import TargetView, load_target
 
 T = TypeVar("T")
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, ClassVar, Protocol
 
-from hal.types import Pose
-from robots.errors import InputError
-from visctrl.plugins import Signal
+from visctrl.contracts import Signal
+from visctrl.hal.types import Pose
+from visctrl.robots.errors import InputError
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 
 TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
@@ -221,5 +221,5 @@ def _core(record: TickRecord) -> tuple[object, ...]:
 
 def _tum(t: float, pose: Pose) -> str:
     """Return one line of a TUM trajectory: time, position, quaternion."""
-    x, y, yaw = pose.y, -pose.x, pose.phi  # REP-103, as `robots.unicycle.to_rep103`
+    x, y, yaw = pose.y, -pose.x, pose.phi  # REP-103, as `visctrl.robots.unicycle.to_rep103`
     return f"{t:.6f} {x:.9f} {y:.9f} 0 0 0 {math.sin(yaw / 2):.12f} {math.cos(yaw / 2):.12f}\n"

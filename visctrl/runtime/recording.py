@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.central_camera import CentralCamera
-from hal.types import STANDSTILL, Frame, Pose, Velocity
-from robots.errors import InputError
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import STANDSTILL, Frame, Pose, Velocity
+from visctrl.robots.errors import InputError
 from visctrl.runtime.images import CAMERA, HEADER, INDEX, INITIAL, TARGET, TICK
 from visctrl.runtime.recorder import CONFIG, IMAGES, TICKS
-from visctrl.target_view import load_target
+from visctrl.runtime.target_view import load_target
 
 Grey = NDArray[np.uint8]
 

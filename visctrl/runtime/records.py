@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, NamedTuple, Protocol
 
-from hal.central_camera import CentralCamera
-from hal.types import Frame, Odometry, Pose, Velocity
-from robots import Robot
-from robots.model import Mount
-from visctrl.config import Scenario
-from visctrl.plugins import Decision, Estimate, Match, Views
+from visctrl.contracts import Decision, Estimate, Match, Views
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import Frame, Odometry, Pose, Velocity
+from visctrl.robots import Robot
+from visctrl.robots.model import Mount
+from visctrl.runtime.config import Scenario
 from visctrl.runtime.scheduler import Tick
 
 #: The parts of a tick, in order. ``record`` is the cost of handing the tick to its watchers.

@@ -19,10 +19,10 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from hal.interfaces import Backend
-from robots.documents import Document, suggestion
-from robots.errors import InputError
-from visctrl.plugins import Controller, Estimate, Estimator, ObstacleProvider, Perception
+from visctrl.contracts import Controller, Estimate, Estimator, ObstacleProvider, Perception
+from visctrl.hal.interfaces import Backend
+from visctrl.robots.documents import Document, suggestion
+from visctrl.robots.errors import InputError
 
 T = TypeVar("T")
 
@@ -115,7 +115,7 @@ def options_type(owner: type, where: str) -> type[Document]:
     """Return the ``Options`` of a plugin or backend class; ``where`` opens the error message."""
     options = getattr(owner, "Options", None)
     if not (isinstance(options, type) and issubclass(options, Document)):
-        raise InputError(f"{where} has no 'Options' derived from robots.documents.Document")
+        raise InputError(f"{where} has no 'Options' derived from visctrl.robots.documents.Document")
     return options
 
 
@@ -151,12 +151,12 @@ class Registries:
             "visctrl.estimators",
             Estimator,
             {
-                "tensor": "visctrl.estimation.tensor:Tensor",
-                "tensor2d": "visctrl.estimation.tensor2d:Tensor2d",
-                "planar-motion": "visctrl.estimation.planar_motion:PlanarMotionEstimator",
-                "epipoles": "visctrl.estimation.epipoles:Epipoles",
-                "transfer": "visctrl.estimation.pose_transfer:PoseTransfer",
-                "ekf": "visctrl.estimation.pose_ekf:PoseEkf",
+                "tensor": "visctrl.schemes.trifocal.estimator:Tensor",
+                "tensor2d": "visctrl.schemes.trifocal2d.estimator:Tensor2d",
+                "planar-motion": "visctrl.schemes.approach.estimator:PlanarMotionEstimator",
+                "epipoles": "visctrl.schemes.epipolar.estimator:Epipoles",
+                "transfer": "visctrl.schemes.pose.estimator:PoseTransfer",
+                "ekf": "visctrl.schemes.pose.estimator_ekf:PoseEkf",
             },
         )
     )
@@ -166,13 +166,13 @@ class Registries:
             "visctrl.controllers",
             Controller,
             {
-                "trifocal-smc": "visctrl.control.trifocal_smc:TrifocalSmc",
-                "trifocal-smooth": "visctrl.control.trifocal_smooth:TrifocalSmooth",
-                "trifocal2d": "visctrl.control.trifocal2d:Trifocal2d",
-                "face-target": "visctrl.control.face_target:FaceTarget",
-                "epipolar-smc": "visctrl.control.epipolar_smc:EpipolarSmc",
-                "epipolar-smooth": "visctrl.control.epipolar_smooth:EpipolarSmooth",
-                "pose-tracking": "visctrl.control.pose_tracking:PoseTracking",
+                "trifocal-smc": "visctrl.schemes.trifocal.law_smc:TrifocalSmc",
+                "trifocal-smooth": "visctrl.schemes.trifocal.law_smooth:TrifocalSmooth",
+                "trifocal2d": "visctrl.schemes.trifocal2d.law:Trifocal2d",
+                "face-target": "visctrl.schemes.approach.law:FaceTarget",
+                "epipolar-smc": "visctrl.schemes.epipolar.law_smc:EpipolarSmc",
+                "epipolar-smooth": "visctrl.schemes.epipolar.law_smooth:EpipolarSmooth",
+                "pose-tracking": "visctrl.schemes.pose.law:PoseTracking",
             },
         )
     )
@@ -182,8 +182,8 @@ class Registries:
             "visctrl.obstacles",
             ObstacleProvider,
             {
-                "listed": "visctrl.obstacles.listed:Listed",
-                "sonar": "visctrl.obstacles.sonar:Sonar",
+                "listed": "visctrl.planning.providers.listed:Listed",
+                "sonar": "visctrl.planning.providers.sonar:Sonar",
             },
         )
     )
@@ -193,9 +193,9 @@ class Registries:
             "visctrl.backends",
             Backend,
             {
-                "sim": "sim.backend:SimBackend",
-                "mock": "hal.mock:MockBackend",
-                "pioneer": "hal.pioneer.backend:PioneerBackend",
+                "sim": "visctrl.sim.backend:SimBackend",
+                "mock": "visctrl.hal.mock.backend:MockBackend",
+                "pioneer": "visctrl.hal.pioneer.backend:PioneerBackend",
             },
         )
     )
@@ -211,7 +211,10 @@ class Registries:
 
 
 #: Where a backend's options live apart from the backend, which may import a physics engine.
-_BACKEND_OPTIONS = {"sim": "sim.options:SimOptions", "mock": "hal.mock:MockOptions"}
+_BACKEND_OPTIONS = {
+    "sim": "visctrl.sim.options:SimOptions",
+    "mock": "visctrl.hal.mock.backend:MockOptions",
+}
 
 REGISTRIES = Registries()
 

@@ -9,17 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hal.central_camera import CentralCamera
-from hal.types import Frame, Odometry
-from robots import Robot, load_robot
-from robots.errors import InputError, VisctrlError
-from robots.model import Mount
-from visctrl.config import LoadedScenario, Override, Scenario, load_scenario, to_yaml
-from visctrl.plugins import Context, Decision, Estimator, Perception, Plugin, Views
+from visctrl.contracts import Context, Decision, Estimator, Perception, Plugin, Views
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.types import Frame, Odometry
+from visctrl.robots import Robot, load_robot
+from visctrl.robots.errors import InputError, VisctrlError
+from visctrl.robots.model import Mount
+from visctrl.runtime.config import LoadedScenario, Override, Scenario, load_scenario, to_yaml
 from visctrl.runtime.images import INITIAL
 from visctrl.runtime.loop import PluginError
 from visctrl.runtime.meter import Meter
-from visctrl.runtime.pictures import Pictures
 from visctrl.runtime.plan import Chosen, choose, chosen_camera
 from visctrl.runtime.recorder import CONFIG, Recorder, RunDirectory
 from visctrl.runtime.recording import Driven, Recording, Shot, read_image
@@ -30,6 +29,7 @@ from visctrl.runtime.scheduler import Tick
 from visctrl.runtime.schemes import APPROACH_ESTIMATOR, scheme_named
 from visctrl.runtime.summary import versions
 from visctrl.threads import one_thread_of_algebra
+from visctrl.viewers.run_pictures import Pictures
 
 T = TypeVar("T")
 

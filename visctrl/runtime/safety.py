@@ -6,13 +6,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hal.actuation import towards
-from hal.errors import StaleFrameError
-from hal.types import STANDSTILL, Frame, Velocity
-from robots import Limits, Robot
-from robots.documents import Document
-from robots.errors import InputError, VisctrlError
-from visctrl.plugins import Health
+from visctrl.contracts import Health
+from visctrl.hal.actuation import towards
+from visctrl.hal.errors import StaleFrameError
+from visctrl.hal.types import STANDSTILL, Frame, Velocity
+from visctrl.robots import Limits, Robot
+from visctrl.robots.documents import Document
+from visctrl.robots.errors import InputError, VisctrlError
 
 Positive = Annotated[float, Field(gt=0.0)]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from hal.interfaces import Clock
+from visctrl.hal.interfaces import Clock
 
 #: A deadline missed by less than this share of the period is served late instead of skipped.
 GRACE = 0.1

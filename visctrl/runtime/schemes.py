@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robots.documents import suggestion
-from robots.errors import InputError
+from visctrl.robots.documents import suggestion
+from visctrl.robots.errors import InputError
 from visctrl.runtime.registry import Registries
 
 

@@ -10,19 +10,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hal.errors import DeviceError
-from hal.interfaces import Backend
-from hal.types import Pose
-from robots.errors import InputError, VisctrlError
-from visctrl.config import to_yaml
-from visctrl.plugins import Context, Perception, Plugin
+from visctrl.contracts import Context, Perception, Plugin
+from visctrl.hal.errors import DeviceError
+from visctrl.hal.interfaces import Backend
+from visctrl.hal.types import Pose
+from visctrl.robots.errors import InputError, VisctrlError
+from visctrl.runtime.config import to_yaml
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.images import ImageRecorder
 from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
 from visctrl.runtime.meter import Meter
-from visctrl.runtime.pictures import Pictures
 from visctrl.runtime.plan import Chosen, Plan, StagePlan
 from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, Reporting, RunDirectory
 from visctrl.runtime.records import Observer
@@ -31,6 +30,7 @@ from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
 from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, judge, summarise
 from visctrl.threads import one_thread_of_algebra
+from visctrl.viewers.run_pictures import Pictures
 
 T = TypeVar("T")
 

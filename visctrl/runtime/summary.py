@@ -10,7 +10,7 @@ from importlib import metadata
 from typing import Any
 
 import visctrl
-from hal.types import Pose
+from visctrl.hal.types import Pose
 from visctrl.runtime.loop import Tally
 from visctrl.runtime.meter import PARTS, Meter
 from visctrl.runtime.plan import Plan

@@ -1,0 +1,1 @@
+"""A Pioneer without the robot: its firmware, drive and faults behind a serial line or TCP."""

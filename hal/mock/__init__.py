@@ -1,0 +1,1 @@
+"""The mock backend: an exact unicycle that sees identified features."""

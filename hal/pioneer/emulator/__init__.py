@@ -1,1 +1,0 @@
-"""A robot without a robot: ARCOS firmware, its line and its faults, in real time."""

@@ -1,0 +1,1 @@
+"""Pictures of the room through a central camera model."""

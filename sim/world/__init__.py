@@ -1,0 +1,1 @@
+"""The room, the robot's body and its physics."""

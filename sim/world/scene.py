@@ -1,0 +1,181 @@
+"""Scenes: a room, and the panels and boxes in it, read from YAML.
+
+Everything is given in the target's frame: x right, y forward, z up, metres. ``yaw_deg`` turns
+an item counter-clockwise; at 0 its width runs along x.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from visctrl.hal.errors import InputError
+from visctrl.hal.types import Pose
+from visctrl.robots import Robot
+from visctrl.robots.documents import Document, load
+from visctrl.robots.unicycle import step_exact
+from visctrl.sim.render.textures import Kind
+from visctrl.sim.world.scene_files import check_scene_name, scene_folder
+
+Array = NDArray[np.float64]
+Positive = Annotated[float, Field(gt=0)]
+Shade = Annotated[float, Field(ge=0, le=1)]
+
+
+class Paint(Document):
+    """Mean brightness and contrast, as fractions of full scale."""
+
+    shade: Shade = 0.5
+    contrast: Annotated[float, Field(ge=0, le=0.5)] = 0.35
+
+
+class Finish(Paint):
+    """How a surface is painted (see `visctrl.sim.render.textures.Pattern`)."""
+
+    pattern: Kind = "blobs"
+
+
+class Item(Finish):
+    """A box that stands on the floor or hangs above it; a panel is a thin one."""
+
+    name: Annotated[str, Field(pattern=r"^[^/]+$")]
+    at_m: tuple[float, float]
+    size_m: tuple[Positive, Positive, Positive]
+    bottom_m: Annotated[float, Field(ge=0)] = 0.0
+    yaw_deg: float = 0.0
+    margin_m: Annotated[float, Field(ge=0)] = 0.03
+
+    def outline(self) -> Array:
+        """Return the corners of its footprint (4, 2), counter-clockwise (m)."""
+        width, depth, _ = self.size_m
+        return rectangle(Pose(*self.at_m, math.radians(self.yaw_deg)), width, depth)
+
+
+class Room(Document):
+    """Four walls, given by the floor's extent; ``tile_m`` is the length of one textured tile."""
+
+    x_m: tuple[float, float]
+    y_m: tuple[float, float]
+    height_m: Positive
+    tile_m: Positive = 2.5
+    walls: Finish = Finish()
+    floor: Paint = Paint(shade=0.36, contrast=0.12)
+    ceiling: Paint = Paint(shade=0.7, contrast=0.12)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Room:
+        if not (self.x_m[0] < self.x_m[1] and self.y_m[0] < self.y_m[1]):
+            raise ValueError("x_m and y_m are [low, high] with low < high")
+        return self
+
+
+class Arena(Document):
+    """Where a robot is expected to drive: textures are prepared for distances from here."""
+
+    x_m: tuple[float, float] = (-1.5, 1.5)
+    y_m: tuple[float, float] = (-3.8, 0.5)
+
+
+class Scene(Document):
+    """A room and what stands in it. ``seed`` makes all its textures."""
+
+    name: str
+    title: str = ""
+    seed: int = 0
+    room: Room
+    items: tuple[Item, ...] = ()
+    arena: Arena = Arena()
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Scene:
+        names = [item.name for item in self.items]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise ValueError(f"items need different names: {', '.join(sorted(twice))}")
+        return self
+
+    def check_clear(self, camera: Pose, camera_forward_m: float, robot: Robot, what: str) -> None:
+        """Refuse a pose where the robot would touch a wall or an item.
+
+        Parameters
+        ----------
+        camera : Pose
+            Camera pose in the target's frame.
+        camera_forward_m : float
+            Camera ahead of the axle (m).
+        robot : Robot
+            Its outline and height count.
+        what : str
+            The pose's name in the message ("start", "target").
+
+        Raises
+        ------
+        InputError
+            The robot's outline leaves the room or overlaps an item, which is named.
+        """
+        outline = robot_outline(camera, camera_forward_m, robot)
+        where = f"{what} ({camera.x:g}, {camera.y:g}, {math.degrees(camera.phi):g} deg)"
+        (x0, x1), (y0, y1) = self.room.x_m, self.room.y_m
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        if low[0] < x0 or high[0] > x1 or low[1] < y0 or high[1] > y1:
+            raise InputError(
+                f"{where}: the robot would stand in a wall of scene '{self.name}', whose floor "
+                f"is x {x0:g}..{x1:g} m, y {y0:g}..{y1:g} m: choose a pose inside"
+            )
+        for item in self.items:
+            if item.bottom_m < robot.body.height_m and overlap(outline, item.outline()):
+                raise InputError(
+                    f"{where}: the robot would touch '{item.name}' of scene '{self.name}' at "
+                    f"({item.at_m[0]:g}, {item.at_m[1]:g}) m: choose another pose"
+                )
+
+
+def robot_outline(camera: Pose, camera_forward_m: float, robot: Robot) -> Array:
+    """Return the corners (4, 2) of the robot's outline for a camera pose (m)."""
+    body = robot.body
+    ahead = (body.front_m - body.rear_m) / 2 - camera_forward_m
+    centre = step_exact(camera, ahead, 0.0, 1.0)
+    return rectangle(
+        Pose(centre[0], centre[1], camera.phi), body.width_m, body.front_m + body.rear_m
+    )
+
+
+def rectangle(pose: Pose, width: float, length: float) -> Array:
+    """Return the corners (4, 2) of a rectangle about ``pose``, ``length`` along its heading."""
+    s, c = math.sin(pose.phi), math.cos(pose.phi)
+    corners = 0.5 * np.array(
+        [[width, length], [-width, length], [-width, -length], [width, -length]]
+    )
+    turned = corners @ np.array([[c, s], [-s, c]])
+    return np.asarray(turned + np.array([pose.x, pose.y]), dtype=np.float64)
+
+
+def overlap(a: Array, b: Array) -> bool:
+    """Return whether two convex polygons (N, 2) overlap: no edge separates them."""
+    for polygon in (a, b):
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        normals = np.stack([edges[:, 1], -edges[:, 0]], axis=-1)
+        of_a, of_b = a @ normals.T, b @ normals.T
+        apart = (of_a.max(axis=0) < of_b.min(axis=0)) | (of_b.max(axis=0) < of_a.min(axis=0))
+        if apart.any():
+            return False
+    return True
+
+
+def load_scene(name: str) -> Scene:
+    """Return a scene by name, or from a file if ``name`` is a path that ends in ``.yaml``.
+
+    Raises
+    ------
+    InputError
+        No such scene (see `check_scene_name`), or its file is wrong.
+    """
+    check_scene_name(name)
+    if name.endswith((".yaml", ".yml")):
+        return load(Path(name), Scene)
+    return load(scene_folder() / f"{name}.yaml", Scene)

@@ -1,1 +1,0 @@
-"""Controllers: from geometry to a velocity."""

@@ -1,1 +1,0 @@
-"""Estimators: from features in three views to geometry with a covariance."""

@@ -1,1 +1,0 @@
-"""Experiments: many runs, what is published about them, and how ours compare."""

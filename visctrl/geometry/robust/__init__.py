@@ -1,0 +1,1 @@
+"""Robust estimation: M-estimators, least squares and small linear algebra."""

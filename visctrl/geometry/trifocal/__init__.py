@@ -1,0 +1,1 @@
+"""Three views: the 1D and 2D trifocal tensors of planar motion, their solvers and refinement."""

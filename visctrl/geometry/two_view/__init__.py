@@ -1,0 +1,1 @@
+"""Two views: essential and fundamental matrices, planar motion, and their robust estimation."""

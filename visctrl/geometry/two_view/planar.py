@@ -1,0 +1,301 @@
+"""Planar motion between two views of unit rays: its essential matrix, found robustly.
+
+View A is the reference. Rays are (right, forward, up) in each view's own axes. View B has the
+heading φ (counter-clockwise) and its centre is seen from A at the bearing θ (clockwise from
+forward), so that for a point seen along a and b
+
+    aᵀ E b = 0,   E = [0 0 cos θ; 0 0 −sin θ; −cos α  sin α  0],   α = θ + φ.
+
+α is the bearing of the baseline in B's axes. E knows θ up to π (the sign comes from points
+lying in front of both views). It uses elevations, so it needs a calibrated camera; features at
+the camera's own height say nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from visctrl.contracts import Health
+from visctrl.geometry.two_view.parallax import signed_parallax
+from visctrl.geometry.two_view.planar_fit import IDENTICAL as IDENTICAL
+from visctrl.geometry.two_view.planar_fit import Fit, RayPairs, fit
+from visctrl.robots.unicycle import wrap_angle
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Fewer correspondences than this leave no residual to judge a motion by.
+MINIMUM_FEATURES = 4
+#: A feature's parallax is at most this many times the usual one.
+NEAREST = 10.0
+
+
+@dataclass(frozen=True)
+class PlanarMotion:
+    """Pose of view B in view A up to the length of the baseline.
+
+    phi : heading of B in A's frame (rad, counter-clockwise).
+    direction : bearing in A of B's centre (rad, clockwise from forward, in (−π, π]).
+    covariance : (2, 2), of (phi, direction) (rad²); infinite where nothing was measured.
+    inliers : (N,) features that agree with the motion.
+    health : ``DEGENERATE`` with the reason when something is not determined; with identical
+        views ``phi`` is still valid and only ``direction`` is not.
+    """
+
+    phi: float
+    direction: float
+    covariance: Array
+    inliers: Mask
+    health: Health = Health.OK
+    reason: str = ""
+
+    @property
+    def phi_sd(self) -> float:
+        """Standard deviation of ``phi`` (rad)."""
+        return math.sqrt(float(self.covariance[0, 0]))
+
+    @property
+    def direction_sd(self) -> float:
+        """Standard deviation of ``direction`` (rad)."""
+        return math.sqrt(float(self.covariance[1, 1]))
+
+
+def essential_matrix(phi: ArrayLike, direction: ArrayLike) -> Array:
+    """Return E (..., 3, 3) with aᵀ E b = 0 for a motion (rad), broadcast over both."""
+    phi, theta = np.broadcast_arrays(np.asarray(phi, float), np.asarray(direction, float))
+    alpha = theta + phi
+    E = np.zeros((*phi.shape, 3, 3))
+    E[..., 0, 2], E[..., 1, 2] = np.cos(theta), -np.sin(theta)
+    E[..., 2, 0], E[..., 2, 1] = -np.cos(alpha), np.sin(alpha)
+    return E
+
+
+def rotate_to_a(rays_b: ArrayLike, phi: float) -> Array:
+    """Return rays (..., 3) of view B turned into A's axes."""
+    b = np.asarray(rays_b, dtype=np.float64)
+    s, c = np.sin(phi), np.cos(phi)
+    return np.stack([c * b[..., 0] - s * b[..., 1], s * b[..., 0] + c * b[..., 1], b[..., 2]], -1)
+
+
+def sampson_residuals(
+    rays_a: ArrayLike, rays_b: ArrayLike, phi: float, direction: float
+) -> tuple[Array, Array]:
+    """Return the Sampson residuals (N,) in rad of unit rays (N, 3), and ∂/∂(φ, θ) (N, 2).
+
+    The residual is the algebraic error over the norm of its gradient by both rays: to first
+    order its standard deviation is that of one ray's direction.
+    """
+    linear = RayPairs.of(rays_a, rays_b).linearised([(phi, direction)])
+    return linear.residual, linear.jacobian.T
+
+
+def ransac_planar_motion(
+    rays_a: ArrayLike,
+    rays_b: ArrayLike,
+    sigma: float,
+    *,
+    seed: int = 0,
+    threshold_sigmas: float = 4.0,
+    hypotheses: int = 400,
+) -> PlanarMotion:
+    """Find the planar motion that most features agree with, and refine it on them.
+
+    Two features fix the motion up to two solutions; all hypotheses are scored in one array
+    operation by the truncated sum of squared Sampson residuals.
+
+    Parameters
+    ----------
+    rays_a, rays_b : (N, 3) arrays
+        Unit rays of the same features in both views.
+    sigma : float
+        Standard deviation of one ray's direction (rad).
+    seed : int
+        Of the random samples; the same seed gives the same result.
+    threshold_sigmas : float
+        Residual (in ``sigma``) beyond which a feature counts as an outlier.
+    hypotheses : int
+        Number of two-point samples.
+    """
+    a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
+    if len(a) < MINIMUM_FEATURES:
+        return _too_few(len(a))
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, len(a), hypotheses)
+    second = (first + rng.integers(1, len(a), hypotheses)) % len(a)
+    sample = np.stack([first, second], axis=-1)
+    theta, alpha = two_point_motions(a[sample], b[sample])
+    limit = threshold_sigmas * sigma
+    squared = squared_residuals(a, b, theta, alpha)
+    best = int(np.argmin(np.minimum(squared, limit**2).sum(axis=1)))
+    phi, direction = float(alpha[best] - theta[best]), float(theta[best])
+    direction = _towards_points(a, b, phi, direction, sigma)
+    inliers = (squared[best] < limit**2) & _plausible(a, b, phi, direction, limit)
+    motion = _too_few(len(a))
+    for _ in range(2):
+        if inliers.sum() < MINIMUM_FEATURES:
+            return _too_few(len(a), int(inliers.sum()))
+        motion = refine_planar_motion(a[inliers], b[inliers], phi, direction, sigma)
+        phi, direction = motion.phi, motion.direction
+        residual, _ = sampson_residuals(a, b, phi, direction)
+        inliers = (np.abs(residual) < limit) & _plausible(a, b, phi, direction, limit)
+    return PlanarMotion(phi, direction, motion.covariance, inliers, motion.health, motion.reason)
+
+
+def refine_planar_motion(
+    rays_a: ArrayLike,
+    rays_b: ArrayLike,
+    phi0: float,
+    direction0: float,
+    sigma: float,
+    *,
+    iterations: int = 15,
+) -> PlanarMotion:
+    """Refine a planar motion from a start by soft-L1 Gauss–Newton on Sampson residuals.
+
+    Parameters
+    ----------
+    rays_a, rays_b : (N, 3) arrays
+        Unit rays of the same features in both views; some may be outliers.
+    phi0, direction0 : float
+        Where to start (rad); the sign of the direction is found anew.
+    sigma : float
+        Standard deviation of one ray's direction (rad).
+    iterations : int
+        At most this many steps.
+    """
+    pairs = RayPairs.of(rays_a, rays_b)
+    return refine_motions(pairs, [(phi0, direction0)], sigma, iterations=iterations)[0]
+
+
+def refine_motions(
+    pairs: RayPairs,
+    starts: Sequence[tuple[float, float]],
+    sigma: float | Array,
+    *,
+    limit_sigmas: float = math.inf,
+    present: Mask | None = None,
+    iterations: int = 15,
+) -> list[PlanarMotion]:
+    """Refine the planar motions of several pairs of views, or several of one, in one go.
+
+    Parameters
+    ----------
+    pairs : RayPairs
+    starts : (phi, direction) in rad, one a motion
+    sigma : float or (P,) array
+        Standard deviation of one ray's direction (rad), of all pairs or of each.
+    limit_sigmas : float
+        Features with residuals larger than so many ``sigma`` do not count, while most have
+        smaller ones.
+    present : (P, N) array or None
+        Features that a pair has at all; None for all.
+    iterations : int
+        At most this many steps.
+    """
+    if pairs.features < MINIMUM_FEATURES:
+        return [_too_few(pairs.features) for _ in starts]
+    fits = fit(
+        pairs,
+        starts,
+        sigma,
+        limit_sigmas=limit_sigmas,
+        present=present,
+        iterations=iterations,
+    )
+    return [_motion(found) for found in fits]
+
+
+def _motion(found: Fit) -> PlanarMotion:
+    agreeing = int(np.count_nonzero(found.inliers))
+    if agreeing < MINIMUM_FEATURES:
+        return _too_few(len(found.inliers), agreeing)
+    pp, pt, tt = found.variance
+    covariance = np.array([[pp, pt], [pt, tt]])
+    health = Health.DEGENERATE if found.reason else Health.OK
+    return PlanarMotion(found.phi, found.direction, covariance, found.inliers, health, found.reason)
+
+
+def two_point_motions(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return (θ, α) (2H,) of the motions through samples (H, 2, 3).
+
+    With m = (cos θ, sin θ), n = (cos α, sin α) the constraints read P m + Q n = 0, so that
+    m = W n with W = −P⁻¹Q; |m| = |n| = 1 is an equation in cos 2α, sin 2α.
+    """
+    P = b[..., 2:3] * a[..., :2] * [1.0, -1.0]
+    Q = a[..., 2:3] * b[..., :2] * [-1.0, 1.0]
+    det = P[:, 0, 0] * P[:, 1, 1] - P[:, 0, 1] * P[:, 1, 0]
+    det = np.where(np.abs(det) > 1e-300, det, 1e-300)
+    adjugate = np.stack([P[:, 1, 1], -P[:, 0, 1], -P[:, 1, 0], P[:, 0, 0]], axis=-1).reshape(
+        -1, 2, 2
+    )
+    W = -(adjugate @ Q) / det[:, None, None]
+    S = np.swapaxes(W, 1, 2) @ W
+    mean, half, cross = (S[:, 0, 0] + S[:, 1, 1]) / 2, (S[:, 0, 0] - S[:, 1, 1]) / 2, S[:, 0, 1]
+    amplitude = np.maximum(np.hypot(half, cross), 1e-300)
+    # Outside [−1, 1] no motion fits exactly; the nearest one is kept (vanishing baseline).
+    opening = np.arccos(np.clip((1.0 - mean) / amplitude, -1.0, 1.0))
+    centre = np.arctan2(cross, half)
+    alpha = np.concatenate([centre + opening, centre - opening]) / 2.0
+    W = np.concatenate([W, W])
+    c, s = np.cos(alpha), np.sin(alpha)
+    theta = np.arctan2(W[:, 1, 0] * c + W[:, 1, 1] * s, W[:, 0, 0] * c + W[:, 0, 1] * s)
+    return theta, alpha
+
+
+def squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
+    """Return squared Sampson residuals (H, N) of H motions for N features.
+
+    The error is linear in the cosines and sines of both angles, its squared gradient in those of
+    twice the angles: two matrix products.
+    """
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    forth, back = np.exp(1j * theta), np.exp(1j * alpha)
+    error: Array = np.stack([forth.real, forth.imag, back.real, back.imag], axis=1) @ np.stack(
+        [bz * ax, -bz * ay, -az * bx, az * by]
+    )
+    forth, back = forth * forth, back * back
+    ones = np.ones(len(theta))
+    level = az * az + bz * bz + 0.5 * (ax * ax + ay * ay + bx * bx + by * by)
+    gradient = np.stack([ones, forth.real, forth.imag, back.real, back.imag], axis=1) @ np.stack(
+        [level, 0.5 * (ax * ax - ay * ay), -ax * ay, 0.5 * (bx * bx - by * by), -bx * by]
+    )
+    # What rounding leaves of a gradient that vanishes.
+    np.maximum(gradient, 1e-15, out=gradient)
+    error *= error
+    error /= gradient
+    return error
+
+
+def _towards_points(a: Array, b: Array, phi: float, direction: float, sigma: float) -> float:
+    """Return ``direction`` or its opposite: the one that puts points in front of both views."""
+    # Far points vote with less weight, gross errors with no more than a good point.
+    votes = np.tanh(signed_parallax(a, b, phi, direction) / max(3.0 * sigma, 1e-12))
+    return float(wrap_angle(direction if votes.sum() >= 0.0 else direction + np.pi))
+
+
+def _plausible(a: Array, b: Array, phi: float, direction: float, limit: float) -> Mask:
+    """Return whether each feature's parallax (N,) is one that a point of the scene can have.
+
+    An outlier that happens to lie near its epipolar plane passes the residual test, and with a
+    short baseline its huge parallax would outweigh all others.
+    """
+    parallax = signed_parallax(a, b, phi, direction)
+    usual = float(np.median(np.abs(parallax)))
+    return np.asarray((parallax > -2.0 * limit) & (parallax < max(NEAREST * usual, 2.0 * limit)))
+
+
+def _too_few(count: int, agreeing: int | None = None) -> PlanarMotion:
+    found = f"{count} features" if agreeing is None else f"{agreeing} of {count} features agree"
+    return PlanarMotion(
+        0.0,
+        0.0,
+        np.diag([np.inf, np.inf]),
+        np.zeros(count, dtype=np.bool_),
+        Health.LOST,
+        f"too few features: {found}, {MINIMUM_FEATURES} are needed",
+    )

@@ -1,0 +1,271 @@
+"""Epipoles of two views of a perspective camera that moves in a plane, without calibration.
+
+Image points are (x, y) = (right, up)/forward for an *assumed* focal length and image centre.
+With the baseline along the bearings θ_a and θ_b of the two views, planar motion gives
+
+    y_b (x_a c_a − s_a) − y_a (x_b c_b − s_b) = 0,   tan θ = s/c,
+
+linear in m = (c_a, s_a, c_b, s_b). A wrong focal length or centre column is a linear change of
+x that m absorbs: it only makes the norms of (c_a, s_a) and (c_b, s_b) differ. So with these
+norms left free the epipoles come out in the very units of the points, whatever the true focal
+length, and one at infinity (c = 0) is as good as any other. Only the horizon's row must be known.
+`planar` is the calibrated counterpart, with equal norms, for any central camera.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from visctrl.contracts import Health
+from visctrl.geometry.two_view import epipolar_fit
+from visctrl.geometry.two_view.epipolar_fit import ONE_PLANE as ONE_PLANE
+from visctrl.geometry.two_view.epipolar_fit import SHORT_BASELINE as SHORT_BASELINE
+from visctrl.geometry.two_view.planar import PlanarMotion
+from visctrl.geometry.two_view.planar_residuals import Lines, PointPairs, squared_residuals
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Vector = tuple[float, float, float, float]
+
+#: Three features fix m; fewer than this leave no residual to judge it by.
+MINIMUM_FEATURES = 5
+#: Hypotheses that are refined before the best is chosen, and by how many steps.
+_FINALISTS, _FINALIST_STEPS = 4, 2
+#: Steps on the best of them, at most.
+_STEPS = 12
+
+
+@dataclass(frozen=True)
+class PlanarEpipoles(PlanarMotion):
+    """A planar motion whose bearings are in the units of an assumed calibration.
+
+    ``phi`` is the difference of the baseline's two bearings, B's heading if that calibration
+    is right.
+
+    vector : m = (c_a, s_a, c_b, s_b) of unit length, pointing from A's centre to B's.
+    """
+
+    vector: Vector = (0.0, 0.0, 0.0, 0.0)
+
+
+def constraint_rows(points_a: ArrayLike, points_b: ArrayLike) -> Array:
+    """Return the coefficients (..., 4) of m in the constraint of points (..., 2)."""
+    a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
+    xa, ya, xb, yb = a[..., 0], a[..., 1], b[..., 0], b[..., 1]
+    return np.stack([yb * xa, -yb, -ya * xb, ya], axis=-1)
+
+
+def null_vectors(rows: ArrayLike) -> Array:
+    """Return the unit vectors (..., 4) orthogonal to the three rows of (..., 3, 4) matrices."""
+    M = np.asarray(rows, dtype=np.float64)
+    p, q, r = M[..., 0, :], M[..., 1, :], M[..., 2, :]
+    # 2×2 minors of the last two rows, then expansion along the first: a cross product in 4D.
+    minor = {
+        (i, j): q[..., i] * r[..., j] - q[..., j] * r[..., i] for i in range(4) for j in range(i)
+    }
+
+    def cofactor(i: int, j: int, k: int) -> Array:
+        return np.asarray(
+            p[..., i] * minor[k, j] - p[..., j] * minor[k, i] + p[..., k] * minor[j, i]
+        )
+
+    m = np.stack([cofactor(1, 2, 3), -cofactor(0, 2, 3), cofactor(0, 1, 3), -cofactor(0, 1, 2)], -1)
+    length = np.linalg.norm(m, axis=-1, keepdims=True)
+    # Dependent rows (repeated features, identical views) have no null vector of their own.
+    usual = np.sqrt(0.5) * np.array([1.0, 0.0, 1.0, 0.0])
+    return np.asarray(np.where(length > 1e-300, m / np.maximum(length, 1e-300), usual))
+
+
+def sampson_residuals(
+    points_a: ArrayLike, points_b: ArrayLike, m: ArrayLike
+) -> tuple[Array, Array]:
+    """Return the Sampson residuals (N,) of points (N, 2) for m (4,), and ∂/∂m (4, N).
+
+    To first order a residual has the standard deviation of one image coordinate.
+    """
+    c, s, c_b, s_b = vector = _vector(m)
+    linear = PointPairs.of(points_a, points_b).linearised([_lines(vector)])
+    by_phi, by_theta, by_scale = linear.jacobian
+    by_theta = by_theta - by_phi
+    # The same for any length of m: only θ, α and the ratio of both parts' lengths matter.
+    a2, b2 = c * c + s * s, c_b * c_b + s_b * s_b
+    slopes = np.array(
+        [
+            (-s * by_theta - c * by_scale) / a2,
+            (c * by_theta - s * by_scale) / a2,
+            (-s_b * by_phi + c_b * by_scale) / b2,
+            (c_b * by_phi + s_b * by_scale) / b2,
+        ]
+    )
+    return linear.residual, slopes
+
+
+def ransac_planar_epipoles(
+    points_a: ArrayLike,
+    points_b: ArrayLike,
+    sigma: float,
+    *,
+    seed: int = 0,
+    threshold_sigmas: float = 4.0,
+    hypotheses: int = 96,
+) -> PlanarEpipoles:
+    """Find the planar epipolar geometry that most features agree with, and refine it on them.
+
+    Parameters
+    ----------
+    points_a, points_b : (N, 2) arrays
+        (right, up)/forward of the same features in both views, by the assumed calibration.
+    sigma : float
+        Standard deviation of one coordinate.
+    seed : int
+        Of the random samples; the same seed gives the same result.
+    threshold_sigmas : float
+        Residual (in ``sigma``) beyond which a feature counts as an outlier.
+    hypotheses : int
+        Number of three-point samples, all scored in one array operation.
+    """
+    a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
+    if len(a) < MINIMUM_FEATURES:
+        return _too_few(len(a))
+    limit = threshold_sigmas * sigma
+    starts = likely_lines(a, b, limit, hypotheses, seed, _FINALISTS)
+    ends, _ = epipolar_fit.descend(
+        PointPairs.of(a, b, len(starts)), starts, sigma, limit=limit, iterations=_FINALIST_STEPS
+    )
+    squared = squared_residuals(a, b, np.array([_unit_vector(lines) for lines in ends]))
+    best = _unit_vector(ends[int(np.argmin(np.minimum(squared, limit**2).sum(axis=-1)))])
+    return refine_epipoles(PointPairs.of(a, b), [best], sigma, limit=limit)[0]
+
+
+def likely_lines(
+    a: Array, b: Array, limit: float, hypotheses: int, seed: int, count: int
+) -> list[Lines]:
+    """Return those of random samples' lines that most points (N, 2) lie nearer to than a limit."""
+    m = null_vectors(constraint_rows(a, b)[_samples(len(a), hypotheses, seed)])
+    cost = np.minimum(squared_residuals(a, b, m), limit**2).sum(axis=-1)
+    return [_lines(_vector(v)) for v in m[np.argpartition(cost, count)[:count]]]
+
+
+def refine_planar_epipoles(
+    points_a: ArrayLike,
+    points_b: ArrayLike,
+    start: Vector,
+    sigma: float,
+    *,
+    threshold_sigmas: float = 4.0,
+) -> PlanarEpipoles:
+    """Refine planar epipoles from a nearby start; arguments as for `ransac_planar_epipoles`.
+
+    Parameters
+    ----------
+    start : m to start from.
+    """
+    pairs = PointPairs.of(points_a, points_b)
+    return refine_epipoles(pairs, [start], sigma, limit=threshold_sigmas * sigma)[0]
+
+
+def refine_epipoles(
+    pairs: PointPairs,
+    starts: Sequence[Vector],
+    sigma: float,
+    *,
+    limit: float,
+    present: Mask | None = None,
+) -> list[PlanarEpipoles]:
+    """Refine the planar epipoles of several pairs of views in one go.
+
+    Parameters
+    ----------
+    pairs : PointPairs
+    starts : m to start from, one a pair
+        Their senses are found anew.
+    sigma : float
+        Standard deviation of one coordinate.
+    limit : float
+        Features with larger residuals are outliers.
+    present : (P, N) array or None
+        Features that a pair has at all; None for all.
+    """
+    if pairs.features < MINIMUM_FEATURES:
+        return [_too_few(pairs.features) for _ in starts]
+    usable = None if present is None else present.ravel()
+    lines = [_lines(start) for start in starts]
+    fits = epipolar_fit.fit(pairs, lines, sigma, limit=limit, usable=usable, iterations=_STEPS)
+    return [_epipoles(found) for found in fits]
+
+
+def turned(m: Vector, turn_a: float = 0.0, turn_b: float = 0.0) -> Vector:
+    """Return m after the views turned by ``turn_a``, ``turn_b`` (rad, counter-clockwise)."""
+    c, s, c_b, s_b = math.cos(turn_a), math.sin(turn_a), math.cos(turn_b), math.sin(turn_b)
+    # A turn to the left moves every bearing to the right.
+    return (
+        c * m[0] - s * m[1],
+        s * m[0] + c * m[1],
+        c_b * m[2] - s_b * m[3],
+        s_b * m[2] + c_b * m[3],
+    )
+
+
+def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
+    """Return (hypotheses, 3) triples of distinct indices below ``count``."""
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, count, hypotheses)
+    step = rng.integers(1, count, hypotheses)
+    # A third index that skips the two taken ones, drawn uniformly from the rest.
+    other = rng.integers(1, count - 1, hypotheses)
+    other += other >= step
+    return np.stack([first, (first + step) % count, (first + other) % count], axis=-1)
+
+
+def _epipoles(found: epipolar_fit.LinesFit) -> PlanarEpipoles:
+    count, features = int(np.count_nonzero(found.inliers)), len(found.inliers)
+    if count < MINIMUM_FEATURES:
+        shown = f"{count} of {features} features fit one motion, {MINIMUM_FEATURES} are needed"
+        return _lost(features, f"no agreement: {shown}")
+    pp, pt, tt = found.variance
+    return PlanarEpipoles(
+        found.lines[0],
+        found.lines[1],
+        np.array([[pp, pt], [pt, tt]]),
+        found.inliers,
+        Health.DEGENERATE if found.reason else Health.OK,
+        found.reason,
+        _unit_vector(found.lines),
+    )
+
+
+def _lines(m: Vector) -> Lines:
+    """Return (φ, θ, λ) of m."""
+    c, s, c_b, s_b = m
+    theta, alpha = math.atan2(s, c), math.atan2(s_b, c_b)
+    ratio = max(math.hypot(c_b, s_b), 1e-9) / max(math.hypot(c, s), 1e-9)
+    return alpha - theta, theta, math.log(ratio)
+
+
+def _unit_vector(lines: Lines) -> Vector:
+    """Return m of (φ, θ, λ)."""
+    phi, theta, scale = lines
+    ratio = math.exp(scale)
+    a = 1.0 / math.hypot(1.0, ratio)
+    b = a * ratio
+    alpha = theta + phi
+    return a * math.cos(theta), a * math.sin(theta), b * math.cos(alpha), b * math.sin(alpha)
+
+
+def _vector(elements: ArrayLike) -> Vector:
+    c, s, c_b, s_b = np.asarray(elements, dtype=np.float64).tolist()
+    return c, s, c_b, s_b
+
+
+def _too_few(count: int) -> PlanarEpipoles:
+    return _lost(count, f"too few features: {count}, {MINIMUM_FEATURES} are needed")
+
+
+def _lost(count: int, reason: str) -> PlanarEpipoles:
+    unknown = np.diag([np.inf, np.inf])
+    return PlanarEpipoles(0.0, 0.0, unknown, np.zeros(count, dtype=np.bool_), Health.LOST, reason)

@@ -1,0 +1,1 @@
+"""Paths, the robot's footprint among obstacles, lattice planning and avoidance."""

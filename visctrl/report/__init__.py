@@ -1,1 +1,0 @@
-"""Pictures of a run: plot page, frames with their features, video."""

@@ -1,0 +1,1 @@
+"""Ways of driving to the target, one folder each: estimate, estimator and laws."""

@@ -1,0 +1,1 @@
+"""Sliding-mode control on the epipoles of three views (chapter 2 of the source)."""

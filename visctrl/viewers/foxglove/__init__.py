@@ -1,0 +1,1 @@
+"""A run in the Foxglove app, live or as an MCAP file."""
