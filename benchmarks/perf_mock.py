@@ -8,12 +8,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 import pytest
 from paired import ADDITIONS, additions, paired
 from two_cores import machine_ratio
 
-from visctrl.montecarlo.drive import Ending, drive_many
 from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import make_plan
@@ -98,37 +96,6 @@ def test_two_processes(benchmark: Any) -> None:
             "work that shares nothing": f"{1.0 / machine_ratio():.2f} x",
         },
     )
-
-
-@pytest.mark.parametrize("runs", [1, 10, 100, 1000])
-def test_monte_carlo(benchmark: Any, runs: int) -> None:
-    """Many ideal robots from far starts in array operations, set-up included."""
-    rng = np.random.default_rng(0)
-    low, high = (-0.5, -6.0, -5.0), (0.5, -4.0, 5.0)
-    plans = []
-    for seed, (x, y, phi) in enumerate(rng.uniform(low, high, (runs, 3)).tolist()):
-        where = (f"start.x_m={x}", f"start.y_m={y}", f"start.phi_deg={phi}", f"seed={seed}")
-        settings = (*where, "approach.enabled=false", "mock.ideal=true", "mock.far_m=12")
-        changes = [parse_setting(text) for text in settings]
-        plans.append(make_plan(load_scenario("mock", changes, REGISTRIES.backends.known())))
-    endings: list[Ending] = []
-
-    def run() -> None:
-        endings[:] = drive_many(plans)
-
-    paired(
-        benchmark,
-        run,
-        additions,
-        rounds=1,
-        against=f"{ADDITIONS} array additions",
-        bound="3,000 x real time",
-    )
-    simulated = sum(ending.ticks for ending in endings) * plans[0].period_s
-    benchmark.extra_info["notes"] = {
-        "x real time": f"{simulated / benchmark.stats.stats.median:.0f}",
-        "run alone": f"{sum(ending.alone for ending in endings)} of {runs}",
-    }
 
 
 class _Here:

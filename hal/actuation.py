@@ -13,7 +13,7 @@ from pydantic import Field
 
 from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.robots import Limits
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 _MM = 1000.0
 #: Times this close (s) are the same instant.
@@ -22,7 +22,7 @@ _SAME_INSTANT_S = 1e-9
 Fraction = Annotated[float, Field(gt=-1.0, lt=1.0)]
 
 
-class ActuationOptions(Document):
+class ActuationOptions(StrictModel):
     """How far a base is from executing its commands at once and exactly.
 
     quantise : commands go out in whole mm/s and deg/s, the units of the ARCOS protocol.

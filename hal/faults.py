@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from visctrl.hal.errors import LinkError
 from visctrl.hal.types import Features, Frame
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -34,7 +34,7 @@ Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
 Intervals = Annotated[tuple[Interval, ...], BeforeValidator(_several)]
 
 
-class Faults(Document):
+class Faults(StrictModel):
     """When devices misbehave; by default they never do.
 
     Each fault is an interval [start, end] in seconds, or a list of them.

@@ -14,7 +14,7 @@ from typing import ClassVar, Self
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
 from visctrl.robots import Robot
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 _NOTHING_TO_REPORT = BaseStatus()
 
@@ -98,7 +98,7 @@ class Backend(ABC):
     clock: Clock
 
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
         """Return whether the base would have range sensors; the default has none."""
         del robot, options
         return False

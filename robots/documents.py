@@ -17,7 +17,7 @@ from visctrl.robots.errors import InputError
 Model = TypeVar("Model", bound=BaseModel)
 
 
-class Document(BaseModel):
+class StrictModel(BaseModel):
     """A part of a YAML file: immutable, and unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -10,13 +10,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from visctrl.robots.documents import Document, load, suggestion
+from visctrl.robots.documents import StrictModel, load, suggestion
 from visctrl.robots.errors import InputError
 
 Positive = Annotated[float, Field(gt=0)]
 
 
-class Limits(Document):
+class Limits(StrictModel):
     """Speed and acceleration bounds of a base.
 
     wheel_m_s, track_m : bound of each wheel's speed |v ± ω b/2|, and b; None for no such bound.
@@ -51,7 +51,7 @@ class Limits(Document):
         return max(ratio, (v + omega * self.track_m / 2.0) / self.wheel_m_s)
 
 
-class Body(Document):
+class Body(StrictModel):
     """Outline and mass. Lengths are measured from the centre of the drive axle."""
 
     front_m: Positive
@@ -66,7 +66,7 @@ class Body(Document):
         return math.hypot(max(self.front_m, self.rear_m), self.width_m / 2)
 
 
-class Wheels(Document):
+class Wheels(StrictModel):
     """Wheels that the base drives."""
 
     radius_m: Positive
@@ -77,14 +77,14 @@ class Wheels(Document):
     torque_n_m: Positive
 
 
-class Mount(Document):
+class Mount(StrictModel):
     """Where a camera's projection centre sits on the robot."""
 
     forward_m: float
     height_m: Positive
 
 
-class Robot(Document):
+class Robot(StrictModel):
     """A robot: geometry, limits and mounts, read from its folder's ``robot.yaml``."""
 
     name: str

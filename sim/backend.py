@@ -15,7 +15,7 @@ from visctrl.hal.interfaces import Backend, Base, Camera
 from visctrl.hal.pioneer.subclasses import ring_of
 from visctrl.hal.types import Frame, Odometry, Pose, Range, Velocity
 from visctrl.robots import Limits, Robot
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.model import Mount
 from visctrl.sim.options import SimOptions
 from visctrl.sim.render.imaging import Sensor
@@ -129,7 +129,7 @@ class SimBackend(Backend):
         self._world: World | None = None
 
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
         """See `Backend.measures_ranges`: rays stand for the sonar rings that the robot has."""
         del options
         return bool(ring_of(robot.name))

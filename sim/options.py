@@ -8,14 +8,14 @@ from pydantic import Field, field_validator
 
 from visctrl.hal.actuation import ActuationOptions
 from visctrl.hal.faults import Faults
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.sim.world.scene_files import check_scene_name
 
 RendererName = Literal["auto", "tiny", "egl", "gl"]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 
-class Box(Document):
+class Box(StrictModel):
     """A box on the floor, for example an obstacle: centre and yaw in the target's frame."""
 
     x_m: float
@@ -26,7 +26,7 @@ class Box(Document):
     yaw_deg: float = 0.0
 
 
-class SimOptions(Document):
+class SimOptions(StrictModel):
     """Options of the simulated backend.
 
     scene : name of a scene of this package, or the path of a scene file.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import STANDSTILL, Frame, Range, Velocity
 from visctrl.robots import Limits
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.model import Body
 
 Array = NDArray[np.float64]
@@ -161,14 +161,14 @@ class Decision(NamedTuple):
     finished: bool = False
 
 
-OptionsT = TypeVar("OptionsT", bound=Document)
+OptionsT = TypeVar("OptionsT", bound=StrictModel)
 EstimateT = TypeVar("EstimateT", bound=Estimate)
 
 
 class Plugin(ABC, Generic[OptionsT]):
     """Common part of all plugins."""
 
-    Options: ClassVar[type[Document]]
+    Options: ClassVar[type[StrictModel]]
     #: Columns that `values` fills.
     signals: ClassVar[tuple[Signal, ...]] = ()
 

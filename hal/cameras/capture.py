@@ -21,7 +21,7 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.errors import CameraError, StaleFrameError
 from visctrl.hal.interfaces import Camera, Clock
 from visctrl.hal.types import Frame
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 #: Longest wait for a connection, and for the first picture (s).
 _OPEN_S = 3.0
@@ -39,7 +39,7 @@ _FFMPEG_QUIET = "-8"
 _log = logging.getLogger(__name__)
 
 
-class CaptureOptions(Document):
+class CaptureOptions(StrictModel):
     """Which camera, and how it is set.
 
     source : number of a device (``0``), its path (``/dev/video0``), a video file, or the URL of

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from visctrl.robots.documents import Document, load, suggestion
+from visctrl.robots.documents import StrictModel, load, suggestion
 from visctrl.robots.errors import InputError
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ _MOUNTINGS: dict[str, Array] = {
 }
 
 
-class CentralCamera(Document):
+class CentralCamera(StrictModel):
     """A central camera: intrinsics, field of view and orientation on the robot.
 
     Pixels are (u, v), the centre of the first pixel at (0, 0). A catadioptric camera looks up

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from visctrl.hal.emulator.drive import Drive, Ramps
-from visctrl.hal.emulator.firmware_profile import Character
+from visctrl.hal.emulator.firmware_profile import FirmwareProfile
 from visctrl.hal.emulator.reporter import Reporter
 from visctrl.hal.emulator.world import OpenSpace, World
 from visctrl.hal.pioneer.commands import Command, Id, decode_command, vel2_wheels
@@ -51,7 +51,7 @@ class Firmware:
 
     Parameters
     ----------
-    character : Character
+    character : FirmwareProfile
         Which robot, and whose habits.
     start : Pose
         Pose of its axle's centre at time zero.
@@ -63,7 +63,7 @@ class Firmware:
 
     def __init__(
         self,
-        character: Character,
+        character: FirmwareProfile,
         start: Pose = Pose(0.0, 0.0, 0.0),  # noqa: B008 -- immutable
         world: World | None = None,
         slip: Velocity = STANDSTILL,
@@ -269,7 +269,7 @@ class Firmware:
         return tops[Id(command)] or 0
 
 
-def _drive(character: Character, start: Pose, slip: Velocity) -> Drive:
+def _drive(character: FirmwareProfile, start: Pose, slip: Velocity) -> Drive:
     config = character.config
     translation = Ramps(
         (config.speed_max or 0) / 1e3,

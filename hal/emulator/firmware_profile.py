@@ -42,7 +42,7 @@ EMULATED = ("p3dx-sh", "p3at-sh", "p3dx", "p3at")
 
 
 @dataclass(frozen=True)
-class Character:
+class FirmwareProfile:
     """A robot to emulate."""
 
     subclass: Subclass
@@ -51,14 +51,14 @@ class Character:
     config: Config
 
 
-def character(subclass: str, personality: Personality = ARCOS) -> Character:
+def character(subclass: str, personality: Personality = ARCOS) -> FirmwareProfile:
     """Return one of the robots in `EMULATED` with the given habits."""
     factors = SUBCLASSES[subclass]
     identity = Identity("Emulated", "Pioneer", subclass)
     config = _config(factors)
     if not personality.full_config:
         config = _without_numbers(config)
-    return Character(factors, personality, identity, config)
+    return FirmwareProfile(factors, personality, identity, config)
 
 
 def _config(factors: Subclass) -> Config:

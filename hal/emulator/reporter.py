@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from visctrl.hal.emulator.drive import Drive
-from visctrl.hal.emulator.firmware_profile import Character
+from visctrl.hal.emulator.firmware_profile import FirmwareProfile
 from visctrl.hal.emulator.world import World
 from visctrl.hal.pioneer.commands import Id
 from visctrl.hal.pioneer.packet import Packet
@@ -41,7 +41,7 @@ class Reporter:
     they assume, see the same steps.
     """
 
-    def __init__(self, character: Character, world: World) -> None:
+    def __init__(self, character: FirmwareProfile, world: World) -> None:
         self._character = character
         self._world = world
         self.contact = False

@@ -23,7 +23,7 @@ from visctrl.hal.interfaces import Backend, Base, Camera
 from visctrl.hal.mock.scene import scatter, view_matrix
 from visctrl.hal.types import STANDSTILL, Features, Frame, Odometry, Pose, Velocity
 from visctrl.robots import Limits, Robot
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.model import Mount
 from visctrl.robots.unicycle import along_arc, wrapped
 
@@ -44,7 +44,7 @@ class Purpose(IntEnum):
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(self.value,)))
 
 
-class Scatter(Document):
+class Scatter(StrictModel):
     """How the mean velocity executed in a tick scatters about what was commanded.
 
     v_m_s, omega_deg_s : standard deviations, drawn anew in every tick of a moving robot.
@@ -54,7 +54,7 @@ class Scatter(Document):
     omega_deg_s: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
 
 
-class MockOptions(Document):
+class MockOptions(StrictModel):
     """Scene, camera noise and actuation of the mock.
 
     features : number of points in the scene.

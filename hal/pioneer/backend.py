@@ -16,11 +16,11 @@ from visctrl.hal.pioneer.handshake import BAUDS
 from visctrl.hal.pioneer.subclasses import ring_of
 from visctrl.hal.types import Pose
 from visctrl.robots import Limits, Robot
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.model import Mount
 
 
-class PioneerOptions(Document):
+class PioneerOptions(StrictModel):
     """Where robot and camera are connected.
 
     port : device (``/dev/ttyUSB0``, ``COM3``) or URL (``socket://host:8101``) of the robot.
@@ -81,7 +81,7 @@ class PioneerBackend(Backend):
         self.camera = CaptureCamera(camera, options.camera, self.clock)
 
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
         """See `Backend.measures_ranges`: the sonar rings, unless they are switched off."""
         return isinstance(options, PioneerOptions) and options.sonar and bool(ring_of(robot.name))
 

@@ -191,7 +191,7 @@ def _most_texels(context: moderngl.Context) -> int:
 
 
 def _source(name: str) -> str:
-    return (resources.files("visctrl.sim") / "shaders" / name).read_text(encoding="utf-8")
+    return (resources.files("visctrl.sim.render") / "shaders" / name).read_text(encoding="utf-8")
 
 
 def _by_blocks(rays: Array) -> Single:

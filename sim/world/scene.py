@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from visctrl.hal.errors import InputError
 from visctrl.hal.types import Pose
 from visctrl.robots import Robot
-from visctrl.robots.documents import Document, load
+from visctrl.robots.documents import StrictModel, load
 from visctrl.robots.unicycle import step_exact
 from visctrl.sim.render.textures import Kind
 from visctrl.sim.world.scene_files import check_scene_name, scene_folder
@@ -27,7 +27,7 @@ Positive = Annotated[float, Field(gt=0)]
 Shade = Annotated[float, Field(ge=0, le=1)]
 
 
-class Paint(Document):
+class Paint(StrictModel):
     """Mean brightness and contrast, as fractions of full scale."""
 
     shade: Shade = 0.5
@@ -56,7 +56,7 @@ class Item(Finish):
         return rectangle(Pose(*self.at_m, math.radians(self.yaw_deg)), width, depth)
 
 
-class Room(Document):
+class Room(StrictModel):
     """Four walls, given by the floor's extent; ``tile_m`` is the length of one textured tile."""
 
     x_m: tuple[float, float]
@@ -74,14 +74,14 @@ class Room(Document):
         return self
 
 
-class Arena(Document):
+class Arena(StrictModel):
     """Where a robot is expected to drive: textures are prepared for distances from here."""
 
     x_m: tuple[float, float] = (-1.5, 1.5)
     y_m: tuple[float, float] = (-3.8, 0.5)
 
 
-class Scene(Document):
+class Scene(StrictModel):
     """A room and what stands in it. ``seed`` makes all its textures."""
 
     name: str

@@ -11,7 +11,7 @@ import pytest
 from views import board_image, save
 
 from visctrl.calibration.boards import Board, Corners
-from visctrl.calibration.camera import Sight, calibrate
+from visctrl.calibration.camera import BoardView, calibrate
 from visctrl.cli.main import main
 from visctrl.hal.cameras.central import CentralCamera, load_camera
 from visctrl.hal.cameras.files import read_camera
@@ -28,7 +28,7 @@ def shifted(name: str) -> CentralCamera:
     return camera.altered(cx=camera.cx + 4.6, cy=camera.cy + 16.2, fy=camera.fy * 1.01)
 
 
-def exact_sights(camera: CentralCamera, count: int, noise: float, seed: int = 0) -> list[Sight]:
+def exact_sights(camera: CentralCamera, count: int, noise: float, seed: int = 0) -> list[BoardView]:
     """Return boards all over the field of view, their corners projected, not found."""
     rng = np.random.default_rng(seed)
     low, high = np.radians([camera.min_polar_deg, camera.max_polar_deg])
@@ -42,7 +42,7 @@ def exact_sights(camera: CentralCamera, count: int, noise: float, seed: int = 0)
         pixels, seen = camera.project(points + rng.uniform(0.25, 0.9) * direction)
         if seen.sum() >= 20:
             found = pixels[seen] + rng.normal(0.0, noise, (seen.sum(), 2))
-            sights.append(Sight(f"{len(sights)}.png", Corners(np.flatnonzero(seen), found)))
+            sights.append(BoardView(f"{len(sights)}.png", Corners(np.flatnonzero(seen), found)))
     return sights
 
 
@@ -74,7 +74,7 @@ def test_bad_images_are_named_and_left_out():
     for spoilt in (3, 7):
         corners = sights[spoilt].corners
         moved = corners.pixels + np.random.default_rng(1).normal(0.0, 2.0, corners.pixels.shape)
-        sights[spoilt] = Sight(sights[spoilt].name, Corners(corners.ids, moved))
+        sights[spoilt] = BoardView(sights[spoilt].name, Corners(corners.ids, moved))
     result = calibrate(BOARD, sights, (camera.width, camera.height), "omni", "found")
     assert result.bad == ("3.png", "7.png")
     assert all((result.rms[name] > 1.0) == (name in result.bad) for name in result.rms)
@@ -108,7 +108,8 @@ def test_a_free_xi_is_used_only_where_it_explains_something():
 def test_images_of_something_else_fit_no_camera():
     rng = np.random.default_rng(0)
     sights = [
-        Sight(f"{i}", Corners(np.arange(35), rng.uniform(0.0, 600.0, (35, 2)))) for i in range(6)
+        BoardView(f"{i}", Corners(np.arange(35), rng.uniform(0.0, 600.0, (35, 2))))
+        for i in range(6)
     ]
     with pytest.raises(InputError, match="fit no central camera"):
         calibrate(BOARD, sights, (800, 600), "auto", "found")

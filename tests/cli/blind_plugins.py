@@ -9,12 +9,12 @@ import numpy as np
 
 from visctrl.contracts import Estimator, Health, Match, Perception, Views
 from visctrl.hal.types import Frame, Pose, Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import step_exact
 from visctrl.schemes.pose.estimate import PoseEstimate
 
 
-class BlindOptions(Document):
+class BlindOptions(StrictModel):
     pass
 
 

@@ -12,7 +12,7 @@ from visctrl.contracts import Context, Estimate, Health, Obstacle, Plugin, Signa
 from visctrl.hal.cameras.central import load_camera
 from visctrl.hal.types import Pose, Range
 from visctrl.robots import load_robot
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.runtime.registry import REGISTRIES, Registry, estimate_type, options_type
 from visctrl.schemes.pose.estimate import Need, PoseEstimate
 
@@ -27,7 +27,7 @@ PLUGINS = [
 
 
 @pytest.mark.parametrize(("registry", "name"), PLUGINS)
-def test_plugins_keep_their_contract(registry: Registry[Plugin[Document]], name: str) -> None:
+def test_plugins_keep_their_contract(registry: Registry[Plugin[StrictModel]], name: str) -> None:
     cls = registry.load(name)
     assert options_type(cls, name)(), "every option has a default"
     assert list(inspect.signature(cls).parameters) == ["options", "context"]

@@ -28,7 +28,7 @@ from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.sliding_mode import CosineDescent, switching
 from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
-from visctrl.schemes.trifocal.law import Outputs, Situation, decoupled, without_spinning
+from visctrl.schemes.trifocal.law import Outputs, TrifocalState, decoupled, without_spinning
 from visctrl.schemes.trifocal.law_smc import PUBLISHED, TrifocalSmcOptions
 
 poses = st.tuples(st.floats(-3.0, 3.0), st.floats(-15.0, -1.0), st.floats(-0.6, 0.6)).map(np.array)
@@ -59,7 +59,7 @@ def test_inverse_is_that_of_the_decoupling_matrix(initial, share, rate_1, rate_2
         ]
     )
     expected = np.linalg.solve(M, [rate_1, rate_2])
-    velocity = decoupled(Situation.of(estimate, 0.0), Outputs(rate_1, rate_2), 0.0)
+    velocity = decoupled(TrifocalState.of(estimate, 0.0), Outputs(rate_1, rate_2), 0.0)
     np.testing.assert_allclose(velocity, expected, rtol=1e-6, atol=1e-9)
     assert estimate.determinant == pytest.approx(np.linalg.det(M) * estimate.scale_m, abs=1e-9)
 
@@ -69,7 +69,7 @@ def test_inverse_is_that_of_the_decoupling_matrix(initial, share, rate_1, rate_2
 def test_wanted_rates_come_out_of_the_dynamics(initial, share):
     """Driving (3.5) with M⁻¹ u gives the outputs the rates u."""
     estimate = estimate_at(initial, share * initial)
-    v, omega = decoupled(Situation.of(estimate, 0.0), Outputs(-0.03, 0.01), 0.0)
+    v, omega = decoupled(TrifocalState.of(estimate, 0.0), Outputs(-0.03, 0.01), 0.0)
     rates = dynamics(estimate.elements, initial[2], estimate.scale_m, v, omega)
     assert rates[T112] + rates[T121] == pytest.approx(-0.03, abs=1e-9)
     assert rates[T212] + rates[T221] == pytest.approx(0.01, abs=1e-9)

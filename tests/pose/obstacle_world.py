@@ -16,7 +16,7 @@ from visctrl.hal.mock.backend import MockBackend, MockOptions
 from visctrl.hal.pioneer.subclasses import NO_ECHO_M, ring_of
 from visctrl.hal.types import Pose, Range
 from visctrl.robots import Robot, load_robot
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import step_exact
 from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import make_plan
@@ -49,7 +49,7 @@ class SolidMock(MockBackend):
         self._solid = SceneWorld(scene_with(options.scene, options.boxes), robot)
 
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: Document) -> bool:
+    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
         del options
         return bool(ring_of(robot.name))
 

@@ -13,12 +13,12 @@ from scipy import ndimage
 
 from visctrl.hal.types import Pose
 from visctrl.planning.detours import WayFinder
-from visctrl.planning.distance_field import Field
-from visctrl.planning.footprint import Outline, along, along_many, trailed
+from visctrl.planning.distance_field import DistanceField
+from visctrl.planning.footprint import Footprint, along, along_many, trailed
 from visctrl.planning.lattice_planner import Drive
 from visctrl.planning.paths import path_between
 
-OUTLINE = Outline.of(ROBOT.body)
+OUTLINE = Footprint.of(ROBOT.body)
 MARGIN = 0.12
 DRIVE = Drive(0.12, 0.6)
 FINDER = WayFinder(OUTLINE, AHEAD, MARGIN)
@@ -46,7 +46,7 @@ def test_the_distance_field_never_promises_too_much(seed: int) -> None:
     points = rng.uniform(-4.0, 4.0, (200, 2))
     middle = np.hypot(*(points[:, None] - discs[:, :2]).T).T
     exact = (middle - discs[:, 2]).min(axis=1)
-    found = Field(discs, 0.6).at(points)
+    found = DistanceField(discs, 0.6).at(points)
     told = (middle.min(axis=1) > 0.1) & (exact < 0.6)
     assert np.all(found[told] <= exact[told] + 1e-9)
     # Midway between two discs the knots are nearer to either of them.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from visctrl.geometry.trifocal.transfer import wrap_half_turn
 from visctrl.robots.unicycle import step_exact
-from visctrl.schemes.pose.schmidt_ekf import CORE, TransferFilter
+from visctrl.schemes.pose.schmidt_ekf import CORE, SchmidtEkf
 
 Array = NDArray[np.float64]
 COUNT = 9
@@ -20,7 +20,7 @@ def _bearing(points: Array, pose: Array) -> Array:
     return np.arctan2(d[:, 0], d[:, 1]) + pose[2]
 
 
-def _filter(seed: int) -> tuple[TransferFilter, Array, Array]:
+def _filter(seed: int) -> tuple[SchmidtEkf, Array, Array]:
     """Return a filter near the truth, the points and the true pose, in units of |C1|."""
     rng = np.random.default_rng(seed)
     beta, phi = rng.uniform(-0.6, 0.6, 2)
@@ -34,10 +34,10 @@ def _filter(seed: int) -> tuple[TransferFilter, Array, Array]:
     P = np.outer(scale, scale) * (A @ A.T / len(truth) + np.eye(len(truth)))
     x = truth + rng.multivariate_normal(np.zeros(len(truth)), 0.01 * P)
     theta1, theta3 = _bearing(points, initial), _bearing(points, np.zeros(3))
-    return TransferFilter(x, P, theta1, theta3), points, pose
+    return SchmidtEkf(x, P, theta1, theta3), points, pose
 
 
-def _general(found: TransferFilter) -> ExtendedKalmanFilter:
+def _general(found: SchmidtEkf) -> ExtendedKalmanFilter:
     ekf = ExtendedKalmanFilter(dim_x=len(found.x), dim_z=COUNT)
     ekf.x, ekf.P, ekf.Q = found.x.copy(), found.P.copy(), np.zeros_like(found.P)
     return ekf

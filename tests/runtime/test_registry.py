@@ -16,9 +16,9 @@ PLUGINS = """
 import sys
 from visctrl.schemes.pose.estimate import PoseEstimate
 from visctrl.contracts import Controller, Decision, Estimate, Obstacle, ObstacleProvider
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
-class Options(Document):
+class Options(StrictModel):
     speed: float = 0.1
 
 class Good(Controller):
@@ -27,7 +27,7 @@ class Good(Controller):
     def update(self, estimate, t):
         return Decision(finished=True)
 
-class WallOptions(Document):
+class WallOptions(StrictModel):
     y_m: float = 1.0
 
 class Wall(ObstacleProvider):

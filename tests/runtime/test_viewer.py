@@ -258,7 +258,7 @@ def test_without_the_package_its_install_command_is_told(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("visctrl.viewers.report.viewer._PACKAGE", "no_such_package")
+    monkeypatch.setattr("visctrl.viewers.foxglove.stream._PACKAGE", "no_such_package")
     out = tmp_path / "run"
     assert call(monkeypatch, "run", "mock", option, "--out", str(out)) == 2
     assert f"{option} needs an extra package: pip install 'visctrl[viz]'" in capsys.readouterr().err

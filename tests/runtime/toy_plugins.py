@@ -13,7 +13,7 @@ from visctrl.contracts import Controller, Decision, Estimate, Estimator, Health,
 from visctrl.hal.errors import CameraError
 from visctrl.hal.mock.backend import MockBackend, MockOptions
 from visctrl.hal.types import BaseStatus, Frame, Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 
 class SpyOptions(MockOptions):
@@ -74,7 +74,7 @@ class SpyBackend(MockBackend):
         return BaseStatus(12.5, ("left wheel stalled",) if broken else ())
 
 
-class NoOptions(Document):
+class NoOptions(StrictModel):
     pass
 
 
@@ -103,7 +103,7 @@ class ToyEstimator(Estimator[NoOptions, ToyEstimate]):
         return {"distance": self.distance}
 
 
-class ToyOptions(Document):
+class ToyOptions(StrictModel):
     """Drive with (v, omega) for ``drive_s``, then finish; make ``trouble`` at ``at_s``."""
 
     v: float = 0.2
@@ -156,7 +156,7 @@ class ToyController(Controller[ToyOptions, ToyEstimate]):
         return None
 
 
-class ToyApproachOptions(Document):
+class ToyApproachOptions(StrictModel):
     turn_s: float = 1.0
 
 

@@ -7,10 +7,10 @@ import signal
 from typing import ClassVar
 
 from visctrl.contracts import Controller, Decision, Estimate
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 
-class KillerOptions(Document):
+class KillerOptions(StrictModel):
     """Which signal it sends, 0 for none."""
 
     number: int = 0

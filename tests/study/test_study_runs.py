@@ -32,7 +32,6 @@ ROOT = Path(__file__).parents[2]
 #: One by one, so that there is something to interrupt.
 STUDY: dict[str, Any] = {
     "title": "short runs",
-    "batched": False,
     "settings": {"duration_s": 0.5, "approach.enabled": False},
     "grid": {"mock.noise_px": [0, 0.5, 1], "mock.features": [60, 2]},
     "random": {"start.x_m": {"uniform": [-0.5, 0.5]}, "start.phi_deg": {"normal": [0, 10]}},

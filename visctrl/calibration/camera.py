@@ -35,7 +35,7 @@ _CONVINCING_PX = 0.5
 
 
 @dataclass(frozen=True)
-class Sight:
+class BoardView:
     """A board seen in an image; ``name`` is the image's, for messages."""
 
     name: str
@@ -63,14 +63,14 @@ class Calibration:
 
 
 def calibrate(
-    board: Board, sights: Sequence[Sight], size: tuple[int, int], model: Model, name: str
+    board: Board, sights: Sequence[BoardView], size: tuple[int, int], model: Model, name: str
 ) -> Calibration:
     """Return the camera that took the images.
 
     Parameters
     ----------
     board : Board
-    sights : sequence of Sight
+    sights : sequence of BoardView
         The board in several poses.
     size : (width, height)
         Of the images (px).
@@ -110,7 +110,7 @@ def calibrate(
 
 
 def _without_bad(
-    board: Board, sights: Sequence[Sight], size: tuple[int, int], *, pinhole: bool
+    board: Board, sights: Sequence[BoardView], size: tuple[int, int], *, pinhole: bool
 ) -> tuple[Fit, list[int]]:
     """Return the fit to the images that agree, and their numbers."""
     used = list(range(len(sights)))
@@ -167,14 +167,14 @@ def _chosen(omni: tuple[Fit, list[int]], pinhole: tuple[Fit, list[int]]) -> tupl
     return omni if squares[1] - squares[0] > _WORTH_XI * variance else pinhole
 
 
-def _rms_of(board: Board, sight: Sight, fit: Fit) -> float:
+def _rms_of(board: Board, sight: BoardView, fit: Fit) -> float:
     """Return how far an image that was left out is off, its own pose fitted alone."""
     alone = Bundle(board, [sight.corners], pinhole=True)
     return alone.pose_only(fit.intrinsics)
 
 
 def _polar(
-    camera: CentralCamera, sights: Sequence[Sight], used: Sequence[int]
+    camera: CentralCamera, sights: Sequence[BoardView], used: Sequence[int]
 ) -> tuple[float, float]:
     pixels = np.concatenate([sights[i].corners.pixels for i in used])
     rays, _ = camera.unproject(pixels)

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import track
 
 from visctrl.calibration.boards import Board
-from visctrl.calibration.camera import Calibration, Model, Sight, calibrate
+from visctrl.calibration.camera import BoardView, Calibration, Model, calibrate
 from visctrl.calibration.centre import Centre, find_centre
 from visctrl.calibration.edges import Segments, find_segments
 from visctrl.hal.cameras.central import CentralCamera, load_camera
@@ -69,7 +69,7 @@ def calibrate_camera(
         if corners is None:
             unseen.append(str(path))
         else:
-            seen.append(Sight(str(path), corners))
+            seen.append(BoardView(str(path), corners))
     if not seen:
         more = f" nor in the {len(files) - 1} others" if len(files) > 1 else ""
         raise InputError(

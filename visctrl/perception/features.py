@@ -12,14 +12,14 @@ from pydantic import Field
 from visctrl.contracts import Array, Context, Health, Match, Perception, Views
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Features, Frame
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.errors import InputError
 
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-class FeaturesOptions(Document):
+class FeaturesOptions(StrictModel):
     """Options of `IdentifiedFeatures`.
 
     noise_px : standard deviation of a feature's position that the robot counts on.

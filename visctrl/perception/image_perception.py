@@ -18,7 +18,7 @@ from visctrl.perception.matching import Described, describe
 from visctrl.perception.patch_alignment import HALF
 from visctrl.perception.pictures import Picture, averaged, checked, draw
 from visctrl.perception.unwrap import Canvas, canvas_for
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -28,7 +28,7 @@ Indices = NDArray[np.intp]
 MARGIN_PX = HALF + 3
 
 
-class NaturalOptions(Document):
+class ImagePerceptionOptions(StrictModel):
     """Options of the perceptions that find their own features.
 
     keypoints : SIFT keypoints per image.
@@ -43,13 +43,13 @@ class NaturalOptions(Document):
     px_per_rad: Annotated[float, Field(gt=20, le=2000)] | None = None
 
 
-NaturalT = TypeVar("NaturalT", bound=NaturalOptions)
+ImagePerceptionT = TypeVar("ImagePerceptionT", bound=ImagePerceptionOptions)
 
 
-class NaturalPerception(Perception[NaturalT]):
+class ImagePerception(Perception[ImagePerceptionT]):
     """Takes the target and initial views, matches them, and sorts out unusable frames."""
 
-    def __init__(self, options: NaturalT, context: Context) -> None:
+    def __init__(self, options: ImagePerceptionT, context: Context) -> None:
         super().__init__(options, context)
         self.canvas: Canvas = canvas_for(context.camera, options.px_per_rad)
         self._target: tuple[Picture, Described] | None = None

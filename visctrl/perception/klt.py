@@ -14,18 +14,18 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from visctrl.contracts import Context, Signal, Views
-from visctrl.perception.image_perception import NaturalOptions, NaturalPerception
-from visctrl.perception.landmark_tracker import Limits, Pursuit
+from visctrl.perception.image_perception import ImagePerception, ImagePerceptionOptions
+from visctrl.perception.landmark_tracker import LandmarkTracker, Limits
 from visctrl.perception.landmarks import Landmarks, Recognised, recognise
 from visctrl.perception.pictures import Picture
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 # Standard deviation of a SIFT position before alignment (px).
 _SIFT_SIGMA_PX = 0.5
 
 
-class KltOptions(NaturalOptions):
-    """Options of `Klt`; see also `NaturalOptions`.
+class KltOptions(ImagePerceptionOptions):
+    """Options of `Klt`; see also `ImagePerceptionOptions`.
 
     max_features : tracks followed, spread over the picture.
     backward_px : greatest error of tracking forth and back.
@@ -39,10 +39,10 @@ class KltOptions(NaturalOptions):
     reacquisition_ticks: Annotated[int, Field(ge=1, le=20)] = 5
 
 
-class Klt(NaturalPerception[KltOptions]):
+class Klt(ImagePerception[KltOptions]):
     """Pyramidal Lucas–Kanade with anchors in both fixed views, and re-acquisition."""
 
-    Options: ClassVar[type[Document]] = KltOptions
+    Options: ClassVar[type[StrictModel]] = KltOptions
     signals = (
         Signal("features_tracked", "1"),
         Signal("features_held", "1"),
@@ -52,7 +52,7 @@ class Klt(NaturalPerception[KltOptions]):
 
     def __init__(self, options: KltOptions, context: Context) -> None:
         super().__init__(options, context)
-        self._pursuit: Pursuit | None = None
+        self._tracker: LandmarkTracker | None = None
         self._values: dict[str, float] = {}
 
     def values(self) -> Mapping[str, float]:
@@ -61,8 +61,8 @@ class Klt(NaturalPerception[KltOptions]):
 
     def close(self) -> None:
         """End the thread of the re-acquisition."""
-        if self._pursuit is not None:
-            self._pursuit.close()
+        if self._tracker is not None:
+            self._tracker.close()
 
     def _begin(self, picture: Picture, landmarks: Landmarks) -> None:
         self.close()
@@ -79,22 +79,24 @@ class Klt(NaturalPerception[KltOptions]):
             refill_share=options.refill_share,
             reacquisition_ticks=options.reacquisition_ticks,
         )
-        self._pursuit = Pursuit(landmarks, picture, canvas, search, limits, self.context.lockstep)
+        self._tracker = LandmarkTracker(
+            landmarks, picture, canvas, search, limits, self.context.lockstep
+        )
         self._values = {}
 
     def _measure(self, picture: Picture, stamp: float) -> Views:
-        assert self._pursuit is not None
-        sighting = self._pursuit.advance(picture)
-        tracks, sigma = sighting.tracks, self._pursuit.sigma
+        assert self._tracker is not None
+        result = self._tracker.advance(picture)
+        tracks, sigma = result.tracks, self._tracker.sigma
         self._values = {
             "features_tracked": float(len(tracks)),
             "features_held": float(tracks.held.sum()),
-            "features_recovered": float(sighting.recovered),
+            "features_recovered": float(result.recovered),
             "bearing_sigma": sigma,
         }
-        if sighting.complaint:
-            return self._nothing(stamp, sighting.complaint)
+        if result.complaint:
+            return self._nothing(stamp, result.complaint)
         shown = tracks.best()
         # Where the two fixed views disagree, a track between them moves from one to the other.
-        doubts = self._pursuit.disagreement
+        doubts = self._tracker.disagreement
         return self._views(shown.which, shown.points, sigma, stamp, doubts)

@@ -14,7 +14,7 @@ from visctrl.perception.patch_alignment import Source
 from visctrl.perception.pictures import Picture
 from visctrl.perception.reacquisition import Reacquisition
 from visctrl.perception.selection import spread
-from visctrl.perception.template_alignment import Anchors
+from visctrl.perception.template_alignment import TemplateAlignment
 from visctrl.perception.three_view import Fit
 from visctrl.perception.tracker import follow, returns
 from visctrl.perception.tracks import Tracks
@@ -37,7 +37,7 @@ _SOUGHT = 40
 
 @dataclass(frozen=True)
 class Limits:
-    """What a pursuit is allowed: see the options of the same names of `Klt`."""
+    """What the landmark tracker is allowed: see the options of the same names of `Klt`."""
 
     max_features: int
     min_features: int
@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class TrackResult:
     """What became of the tracks in a picture.
 
     tracks : those that agree with one motion; none if too few do.
@@ -60,7 +60,7 @@ class Sighting:
     complaint: str
 
 
-class Pursuit:
+class LandmarkTracker:
     """Follows landmarks through pictures.
 
     Parameters
@@ -88,7 +88,7 @@ class Pursuit:
     ) -> None:
         self._canvas, self._limits = canvas, limits
         self._map, self._likeness = landmarks.map, landmarks.likeness
-        self._anchors = Anchors(landmarks)
+        self._templates = TemplateAlignment(landmarks)
         self._search = Reacquisition(search, canvas, limits.reacquisition_ticks, lockstep)
         self._picture = picture
         every = np.arange(len(landmarks))
@@ -105,14 +105,14 @@ class Pursuit:
 
     @property
     def disagreement(self) -> Array:
-        """How far (rad) the fixed views put every landmark apart (see `Anchors`)."""
-        return self._anchors.disagreement / self._canvas.scale
+        """How far (rad) the fixed views put every landmark apart (see `TemplateAlignment`)."""
+        return self._templates.disagreement / self._canvas.scale
 
     def close(self) -> None:
         """End the thread of the search."""
         self._search.close()
 
-    def advance(self, picture: Picture) -> Sighting:
+    def advance(self, picture: Picture) -> TrackResult:
         """Find the landmarks in the next picture."""
         source = Source(picture.frame, self._canvas.pixels)
         tracks = self._followed(picture, source)
@@ -129,9 +129,9 @@ class Pursuit:
         if not trusted or len(tracks) < self._limits.refill_share * self._at_start:
             self._search.start(picture)
         if trusted:
-            return Sighting(tracks, len(tracks) - before, "")
+            return TrackResult(tracks, len(tracks) - before, "")
         agree, of = int(fit.inliers.sum()), len(fit.inliers)
-        return Sighting(Tracks.none(), 0, f"only {agree} of {of} tracks agree with one motion")
+        return TrackResult(Tracks.none(), 0, f"only {agree} of {of} tracks agree with one motion")
 
     def _followed(self, picture: Picture, source: Source) -> Tracks:
         """Return the tracks in a new picture, without those that are lost.
@@ -157,7 +157,7 @@ class Pursuit:
 
     def _restarted(self, source: Source, found: Recognised) -> tuple[Tracks, Fit]:
         """Return tracks of landmarks that were recognised, and how well they agree."""
-        self._anchors.expect(found.which, found.fit.pose)
+        self._templates.expect(found.which, found.fit.pose)
         tracks = self._chosen(Tracks(found.which, found.points))
         tracks = self._held(source, tracks, _SEARCHING).only_held()
         return tracks, self._fit(tracks, found.fit.pose)
@@ -180,7 +180,7 @@ class Pursuit:
         # A different part of them every tick, so that all have their turn.
         sought = np.roll(missing, -self._turn)[:_SOUGHT]
         self._turn = (self._turn + _SOUGHT) % len(missing)
-        points = self._canvas.points(self._anchors.expect(sought, self._pose))
+        points = self._canvas.points(self._templates.expect(sought, self._pose))
         seen = self._canvas.inside(points, MARGIN_PX)
         return Tracks(sought[seen], points[seen])
 
@@ -205,7 +205,7 @@ class Pursuit:
 
     def _held(self, source: Source, tracks: Tracks, iterations: int) -> Tracks:
         """Return the tracks aligned on the fixed views where these are recognised."""
-        anchored = self._anchors.hold(source, tracks.which, tracks.points, iterations)
+        anchored = self._templates.hold(source, tracks.which, tracks.points, iterations)
         return Tracks(tracks.which, self._canvas.canonical(anchored.points), anchored.held)
 
     def _fit(self, tracks: Tracks, start: Array) -> Fit:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame
-from visctrl.perception.image_perception import MARGIN_PX, NaturalOptions
+from visctrl.perception.image_perception import MARGIN_PX, ImagePerceptionOptions
 from visctrl.perception.matching import describe
 from visctrl.perception.pictures import averaged, checked, draw
 from visctrl.perception.unwrap import Canvas, canvas_for
@@ -58,7 +58,7 @@ def assess(frames: Sequence[Frame], camera: CentralCamera) -> Quality:
     canvas = canvas_for(camera)
     image = averaged([checked(frame, camera, "the target image") for frame in frames], canvas)
     picture = draw(image, canvas)
-    described = describe(picture.image, canvas, NaturalOptions().keypoints, MARGIN_PX)
+    described = describe(picture.image, canvas, ImagePerceptionOptions().keypoints, MARGIN_PX)
     return Quality(
         features=len(described),
         pixels=camera.robot_pixels(described.rays)[0],

@@ -9,23 +9,23 @@ from __future__ import annotations
 from typing import ClassVar
 
 from visctrl.contracts import Views
-from visctrl.perception.image_perception import NaturalOptions, NaturalPerception
+from visctrl.perception.image_perception import ImagePerception, ImagePerceptionOptions
 from visctrl.perception.landmarks import Landmarks, recognise
 from visctrl.perception.pictures import Picture
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 # Standard deviation of a SIFT keypoint's position (px).
 _SIGMA_PX = 0.4
 
 
-class SiftOptions(NaturalOptions):
-    """Options of `Sift`; see `NaturalOptions`."""
+class SiftOptions(ImagePerceptionOptions):
+    """Options of `Sift`; see `ImagePerceptionOptions`."""
 
 
-class Sift(NaturalPerception[SiftOptions]):
+class Sift(ImagePerception[SiftOptions]):
     """SIFT in every frame, matched to the landmarks of the target and initial views."""
 
-    Options: ClassVar[type[Document]] = SiftOptions
+    Options: ClassVar[type[StrictModel]] = SiftOptions
 
     def _begin(self, picture: Picture, landmarks: Landmarks) -> None:
         """Nothing to remember."""

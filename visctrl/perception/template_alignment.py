@@ -30,7 +30,7 @@ class Anchored:
     held: Mask
 
 
-class Anchors:
+class TemplateAlignment:
     """Aligns tracks on the patches of both fixed views, and remembers how these are warped.
 
     A track takes the place between the two that their likeness suggests: at the start the

@@ -14,9 +14,9 @@ from pydantic import Field
 from visctrl.contracts import Context, Decision, Obstacle
 from visctrl.hal.types import STANDSTILL, Pose, Velocity
 from visctrl.planning.detours import WayFinder
-from visctrl.planning.footprint import Outline, moved, turned
+from visctrl.planning.footprint import Footprint, moved, turned
 from visctrl.planning.lattice_planner import Drive, Point
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.errors import InputError
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ _STOPPING_M = 0.35
 _AGAIN_S = 2.0
 
 
-class AvoidanceOptions(Document):
+class AvoidanceOptions(StrictModel):
     """How obstacles are avoided.
 
     margin_m : distance of the robot's outline from an obstacle, where there is room for it.
@@ -70,7 +70,7 @@ class Avoidance:
         self._options = options
         self._period = context.period_s
         self._finder = WayFinder(
-            Outline.of(context.body), context.camera_forward_m, options.margin_m
+            Footprint.of(context.body), context.camera_forward_m, options.margin_m
         )
         self._seen: Sequence[Obstacle] = ()
         self._state = _State.FREE

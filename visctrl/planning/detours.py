@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.hal.types import Pose
-from visctrl.planning.footprint import Outline
+from visctrl.planning.footprint import Footprint
 from visctrl.planning.lattice_planner import Drive, Point, Search
 from visctrl.robots.unicycle import step_exact
 
@@ -24,14 +24,14 @@ class WayFinder:
 
     Parameters
     ----------
-    outline : Outline
+    outline : Footprint
     camera : float
         Camera ahead of the axle (m).
     margin : float
         Distance that the outline keeps from discs (m).
     """
 
-    def __init__(self, outline: Outline, camera: float, margin: float) -> None:
+    def __init__(self, outline: Footprint, camera: float, margin: float) -> None:
         self._outline = outline
         self._camera = camera
         self._margin = margin

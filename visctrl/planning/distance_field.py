@@ -13,7 +13,7 @@ _KNOT_M = 0.04
 _ERROR_M = _KNOT_M**2 / (4.0 * 0.1)
 
 
-class Field:
+class DistanceField:
     """Distances of points from the nearest disc, interpolated on a grid.
 
     Parameters

@@ -20,7 +20,7 @@ _CROWDED = 1.7
 
 
 @dataclass(frozen=True)
-class Outline:
+class Footprint:
     """A rectangle whose border is covered by equal circles, which make it 2 or 3 cm larger.
 
     spots : (K, 2) middles of the circles from the axle's centre, right and forward (m).
@@ -38,7 +38,7 @@ class Outline:
     outer: float
 
     @classmethod
-    def of(cls, body: Body | None) -> Outline:
+    def of(cls, body: Body | None) -> Footprint:
         """Return the outline of a robot; a point on the axle for None."""
         if body is None:
             return cls(np.zeros((1, 2)), 0.0, 0.0, 0.0, 0.0, 0.0)

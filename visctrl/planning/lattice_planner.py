@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.hal.types import Pose
-from visctrl.planning.distance_field import Field
-from visctrl.planning.footprint import Outline, along_many, turned
+from visctrl.planning.distance_field import DistanceField
+from visctrl.planning.footprint import Footprint, along_many, turned
 from visctrl.planning.paths import TURN_FROM, TURN_TO, reachable, straight_end
 from visctrl.robots.unicycle import step_exact
 
@@ -55,7 +55,7 @@ class Search:
 
     Parameters
     ----------
-    outline : Outline
+    outline : Footprint
     camera : float
         Camera ahead of the axle (m).
     margin : float
@@ -66,13 +66,15 @@ class Search:
     """
 
     def __init__(
-        self, outline: Outline, camera: float, margin: float, discs: Array, drive: Drive
+        self, outline: Footprint, camera: float, margin: float, discs: Array, drive: Drive
     ) -> None:
         self._outline = outline
         self._camera = camera
         self._margin = margin
         self._drive = drive
-        self._field = Field(discs, margin + max(outline.reach, outline.outer) + _BEYOND_REACH_M)
+        self._field = DistanceField(
+            discs, margin + max(outline.reach, outline.outer) + _BEYOND_REACH_M
+        )
 
     def way(self, pose: Pose, goal: Point, *, retreat: bool) -> list[Point] | None:
         """Return the intermediate goals of the shortest chain, see `WayFinder.way`."""

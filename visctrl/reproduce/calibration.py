@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.calibration.boards import Board
-from visctrl.calibration.camera import Sight, calibrate
+from visctrl.calibration.camera import BoardView, calibrate
 from visctrl.calibration.centre import find_centre
 from visctrl.calibration.edges import Segments, find_segments
 from visctrl.hal.cameras.central import CentralCamera, load_camera
@@ -102,7 +102,7 @@ def _sights(
     board: Board,
     polar_deg: tuple[float, float],
     distance_m: tuple[float, float],
-) -> Iterator[Sight]:
+) -> Iterator[BoardView]:
     """Yield the boards that are found in images of them held all over the field of view."""
     rng = np.random.default_rng(11)
     picture, rim = board.picture(40)
@@ -113,7 +113,7 @@ def _sights(
         place = (float(polar), 2.39996 * k, rng.uniform(*distance_m))
         corners = board.find(hold(camera, picture, size, place, rng))
         if corners is not None:
-            yield Sight(f"view {k}", corners)
+            yield BoardView(f"view {k}", corners)
 
 
 def _hall(camera: CentralCamera) -> Iterator[NDArray[np.uint8]]:

@@ -20,7 +20,7 @@ import yaml
 from pydantic import ConfigDict, Field
 
 from visctrl.hal.types import Pose
-from visctrl.robots.documents import Document, read_yaml, suggestion, validate
+from visctrl.robots.documents import StrictModel, read_yaml, suggestion, validate
 from visctrl.robots.errors import InputError
 from visctrl.runtime.safety import SafetyOptions
 
@@ -33,7 +33,7 @@ Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 Section = dict[str, Any]
 
 
-class PluginChoice(Document):
+class PluginChoice(StrictModel):
     """A plugin by name, and its options beside the name.
 
     Without a name, the scheme's plugin is meant.
@@ -55,7 +55,7 @@ class ProviderChoice(PluginChoice):
     name: str
 
 
-class CameraChoice(Document):
+class CameraChoice(StrictModel):
     """Which camera the robot carries, and where.
 
     name : of a built-in camera, or the path of a calibration (``.yaml``).
@@ -69,7 +69,7 @@ class CameraChoice(Document):
     mount: str | None = None
 
 
-class CameraError(Document):
+class CameraError(StrictModel):
     """By how much the true camera differs from the calibration (simulated backends only).
 
     focal_scale : true focal length over the assumed one.
@@ -84,7 +84,7 @@ class CameraError(Document):
     tilt_deg: Degrees = 0.0
 
 
-class Start(Document):
+class Start(StrictModel):
     """Start pose of the camera in the target's frame: x right, y forward, φ counter-clockwise."""
 
     x_m: Metres = -0.55
@@ -96,7 +96,7 @@ class Start(Document):
         return Pose(self.x_m, self.y_m, math.radians(self.phi_deg))
 
 
-class Target(Document):
+class Target(StrictModel):
     """Where the target view comes from.
 
     file : a view made by ``visctrl teach``; without it a simulated robot visits the target.
@@ -107,7 +107,7 @@ class Target(Document):
     frames: Annotated[int, Field(ge=1, le=1000)] = 1
 
 
-class Approach(Document):
+class Approach(StrictModel):
     """Turning on the spot before the main stage, when the robot does not head at the target.
 
     timeout_s : give up turning after this long.
@@ -121,14 +121,14 @@ class Approach(Document):
     settle_s: Positive = 2.0
 
 
-class Tolerance(Document):
+class Tolerance(StrictModel):
     """How close to the target counts as reached, where the truth is known."""
 
     position_m: Positive = 0.02
     heading_deg: Positive = 1.0
 
 
-class Scenario(Document):
+class Scenario(StrictModel):
     """Everything that a run depends on."""
 
     title: str = ""

@@ -12,7 +12,7 @@ from visctrl.hal.cameras.central import CentralCamera, load_camera
 from visctrl.hal.cameras.files import read_camera
 from visctrl.hal.interfaces import Backend
 from visctrl.robots import Limits, Robot, load_robot
-from visctrl.robots.documents import Document, validate
+from visctrl.robots.documents import StrictModel, validate
 from visctrl.robots.errors import InputError
 from visctrl.robots.model import Mount
 from visctrl.runtime.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
@@ -42,11 +42,11 @@ class Chosen(Generic[T]):
     kind: str
     name: str
     cls: type[T]
-    options: Document
+    options: StrictModel
 
     def build(self, context: Context) -> T:
         """Return a fresh instance."""
-        make: Callable[[Document, Context], T] = self.cls
+        make: Callable[[StrictModel, Context], T] = self.cls
         return make(self.options, context)
 
     def effective(self) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class Plan:
 
     scenario: Scenario
     backend: type[Backend]
-    backend_options: Document
+    backend_options: StrictModel
     robot: Robot
     mount: Mount
     camera: CentralCamera
@@ -306,7 +306,7 @@ def choose(
     return Chosen(registry.kind, name or default, cls, options)
 
 
-def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> Document:
+def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> StrictModel:
     """Check the sections of every backend, and return the options of the chosen one."""
     scenario = loaded.scenario
     checked = {}

@@ -21,7 +21,7 @@ from typing import Any, Generic, TypeVar, cast
 
 from visctrl.contracts import Controller, Estimate, Estimator, ObstacleProvider, Perception
 from visctrl.hal.interfaces import Backend
-from visctrl.robots.documents import Document, suggestion
+from visctrl.robots.documents import StrictModel, suggestion
 from visctrl.robots.errors import InputError
 
 T = TypeVar("T")
@@ -111,11 +111,13 @@ class Registry(Generic[T]):
         return cast(type[T], found)
 
 
-def options_type(owner: type, where: str) -> type[Document]:
+def options_type(owner: type, where: str) -> type[StrictModel]:
     """Return the ``Options`` of a plugin or backend class; ``where`` opens the error message."""
     options = getattr(owner, "Options", None)
-    if not (isinstance(options, type) and issubclass(options, Document)):
-        raise InputError(f"{where} has no 'Options' derived from visctrl.robots.documents.Document")
+    if not (isinstance(options, type) and issubclass(options, StrictModel)):
+        raise InputError(
+            f"{where} has no 'Options' derived from visctrl.robots.documents.StrictModel"
+        )
     return options
 
 
@@ -200,13 +202,13 @@ class Registries:
         )
     )
 
-    def backend_options(self, name: str) -> type[Document]:
+    def backend_options(self, name: str) -> type[StrictModel]:
         """Return the options of a backend, without importing what only a run needs."""
         target = _BACKEND_OPTIONS.get(name)
         if target is None or not _module_exists(target):
             return options_type(self.backends.load(name), f"backend '{name}'")
         module_name, _, attribute = target.partition(":")
-        found: type[Document] = getattr(importlib.import_module(module_name), attribute)
+        found: type[StrictModel] = getattr(importlib.import_module(module_name), attribute)
         return found
 
 

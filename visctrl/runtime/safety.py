@@ -11,13 +11,13 @@ from visctrl.hal.actuation import towards
 from visctrl.hal.errors import StaleFrameError
 from visctrl.hal.types import STANDSTILL, Frame, Velocity
 from visctrl.robots import Limits, Robot
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.errors import InputError, VisctrlError
 
 Positive = Annotated[float, Field(gt=0.0)]
 
 
-class SafetyOptions(Document):
+class SafetyOptions(StrictModel):
     """Bounds that hold for every run.
 
     v_m_s, omega_deg_s, acceleration_m_s2, angular_acceleration_deg_s2 : in place of the robot's

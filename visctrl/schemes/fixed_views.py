@@ -17,7 +17,7 @@ Mask = NDArray[np.bool_]
 TARGET, REFERENCE, ALIGNED = "target", "reference", "aligned"
 
 
-class Sight(NamedTuple):
+class ViewSet(NamedTuple):
     """N features as P fixed views and the current view see them.
 
     names : of the fixed views, target and reference first.
@@ -66,13 +66,15 @@ class FixedViews:
         self._stored[name] = _Stored(views.ids.copy(), views.current.copy())
         self._key = ()
 
-    def see(self, views: Views) -> Sight:
+    def see(self, views: Views) -> ViewSet:
         """Return the features of ``views`` in all fixed views and the current one."""
         key = (views.ids.tobytes(), views.target.tobytes(), views.initial.tobytes())
         if key != self._key:
             self._key = key
             self._arrange(views)
-        return Sight(self._names, self._fixed, np.ascontiguousarray(views.current.T), self._present)
+        return ViewSet(
+            self._names, self._fixed, np.ascontiguousarray(views.current.T), self._present
+        )
 
     def _arrange(self, views: Views) -> None:
         rays, present = [views.target.T], [np.ones(len(views), dtype=np.bool_)]

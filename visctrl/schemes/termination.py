@@ -10,7 +10,7 @@ from typing import Annotated
 from pydantic import Field
 
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 #: The robot stands when it is told to move slower than this (m/s, rad/s).
 STANDING = Velocity(0.006, math.radians(1.5))
@@ -20,7 +20,7 @@ PATIENCE_S = 3.0
 Positive = Annotated[float, Field(gt=0.0)]
 
 
-class ArrivalOptions(Document):
+class ArrivalOptions(StrictModel):
     """What counts as arrived, by the robot's own measurement.
 
     tolerance_m, tolerance_deg : of each coordinate of the position, and of the heading.

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from visctrl.robots.documents import Document, read_yaml, suggestion
+from visctrl.robots.documents import StrictModel, read_yaml, suggestion
 from visctrl.robots.errors import InputError
 
 #: A study is held in memory as a table; more runs than this are a mistake.
@@ -26,7 +26,7 @@ START_KEYS = ("start.x_m", "start.y_m", "start.phi_deg")
 Bounds = tuple[float, float]
 
 
-class Draw(Document):
+class Draw(StrictModel):
     """A value drawn anew for every run; exactly one of the distributions is named.
 
     uniform, log_uniform : (low, high). normal : (mean, standard deviation).
@@ -69,7 +69,7 @@ class Draw(Document):
         return float(rng.normal(mean, deviation))
 
 
-class Span(Document):
+class Span(StrictModel):
     """Evenly spaced values: (first, last, how many), on a linear or a logarithmic scale."""
 
     linear: tuple[float, float, Annotated[int, Field(ge=2)]] | None = None
@@ -98,7 +98,7 @@ def _axis(value: Any) -> Any:
 Axis = Annotated[list[Any], BeforeValidator(_axis), Field(min_length=1)]
 
 
-class Study(Document):
+class Study(StrictModel):
     """What to run. All keys in it are dotted scenario keys, as ``--set`` takes them.
 
     scenario : built-in name, or a file (beside the study's own).
@@ -111,8 +111,6 @@ class Study(Document):
     seed : what seeds and drawn values come from.
     paired : the n-th run of every cell has the same seed and draws, so that cells differ in
         nothing but the grid; else all are independent.
-    batched : runs that differ in start and seed only are driven together in array operations,
-        where these are made for them (see `visctrl.montecarlo`); else each by itself.
     """
 
     title: str = ""
@@ -125,7 +123,6 @@ class Study(Document):
     seeds: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     paired: bool = False
-    batched: bool = True
 
     @model_validator(mode="after")
     def _consistent(self) -> Study:
@@ -167,13 +164,6 @@ class Study(Document):
     def varied(self) -> tuple[str, ...]:
         """Keys whose values differ from cell to cell, and then from run to run."""
         return (*self.grid, *(START_KEYS if self.starts else ()), *self.random)
-
-    @property
-    def together(self) -> bool:
-        """Whether there are runs by construction that differ in start and seed only."""
-        drawn, varied = set(self.random), {*self.grid, *(START_KEYS if self.starts else ())}
-        several = self.repeats > 1 or bool(varied & set(START_KEYS))
-        return self.batched and several and drawn <= set(START_KEYS)
 
     def cells(self) -> Iterator[dict[str, Any]]:
         """Yield what every cell sets, by key; the last axis changes fastest."""

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable
 from contextlib import closing
-from typing import NamedTuple
 
-from visctrl.montecarlo.drive import BATCH, drive_together
-from visctrl.montecarlo.kinds import batchable, started_at
 from visctrl.robots.errors import InputError
-from visctrl.runtime.config import Start, scenario_from
+from visctrl.runtime.config import scenario_from
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
@@ -24,17 +20,6 @@ from visctrl.study.workers import Died, Workers, WorkerStoppedError
 
 #: A cluster's worker may have several threads; physics engines and plugins want one.
 _ONE_AT_A_TIME = threading.Lock()
-
-
-class Group(NamedTuple):
-    """What a worker is given: runs to drive together, or a single run.
-
-    together : they are of one kind that array operations are made for, even if it is only one:
-        a run has the same result to the bit in every group.
-    """
-
-    trials: tuple[Trial, ...]
-    together: bool
 
 
 def run_study(
@@ -69,7 +54,8 @@ def run_study(
     known = [log.rows[trial.key] for trial in loaded.trials() if trial.key in log.rows]
     done, simulated = len(known), sum(row["time_s"] or 0.0 for row in known)
     announce(done, simulated)
-    with closing(_results(_groups(loaded, log, workers.count), workers)) as results:
+    pending = (trial for trial in loaded.trials() if trial.key not in log.rows)
+    with closing(workers.each(run_trial, pending)) as results:
         for trial, row in results:
             with interrupts.shield:
                 if isinstance(row, Died):
@@ -82,47 +68,8 @@ def run_study(
     return died
 
 
-def _groups(loaded: LoadedStudy, log: StudyLog, workers: int) -> Iterator[Group]:
-    """Yield what is not in the log yet, in groups that keep all workers busy."""
-
-    def pending() -> Iterator[Trial]:
-        return (trial for trial in loaded.trials() if trial.key not in log.rows)
-
-    left = Counter(trial.kind for trial in pending())
-    fit: dict[str, bool] = {}
-    waiting: dict[str, list[Trial]] = {}
-    for trial in pending():
-        kind = trial.kind
-        if kind is None or not fit.setdefault(kind, batchable(plan_of(trial))):
-            yield Group((trial,), together=False)
-            continue
-        group = waiting.setdefault(kind, [])
-        group.append(trial)
-        if len(group) == min(-(-left[kind] // workers), BATCH):
-            yield Group(tuple(waiting.pop(kind)), together=True)
-    for group in waiting.values():
-        yield Group(tuple(group), together=True)
-
-
-def _results(
-    groups: Iterable[Group], workers: Workers
-) -> Generator[tuple[Trial, Row | Died], None, None]:
-    """Yield every run with its row; those of a group whose worker died are tried one by one."""
-    left: list[Trial] = []
-    with closing(workers.each(run_group, groups)) as results:
-        for group, rows in results:
-            if not isinstance(rows, Died):
-                yield from zip(group.trials, rows, strict=True)
-            elif len(group.trials) > 1:
-                left += group.trials
-            else:
-                yield group.trials[0], rows
-    if left:
-        yield from _results([Group((trial,), together=True) for trial in left], workers)
-
-
-def run_group(group: Group) -> list[Row]:
-    """Run a group and return what the table keeps of each run.
+def run_trial(trial: Trial) -> Row:
+    """Run a trial and return what the table keeps of it.
 
     Raises
     ------
@@ -130,11 +77,13 @@ def run_group(group: Group) -> list[Row]:
         A signal ended it.
     """
     with _ONE_AT_A_TIME:
-        if not group.together:
-            return [_run_alone(trial) for trial in group.trials]
-        endings = drive_together(_plans(group.trials))
-        pairs = zip(group.trials, endings, strict=True)
-        return [row_of(end.summary) if end else _run_alone(trial) for trial, end in pairs]
+        try:
+            summary = run_session(plan_of(trial)).summary
+        except InputError as error:
+            return ended(REFUSED, str(error))
+    if summary["status"] == STOPPED:
+        raise WorkerStoppedError(summary["reason"])
+    return row_of(summary)
 
 
 def plan_of(trial: Trial) -> Plan:
@@ -147,24 +96,6 @@ def plan_of(trial: Trial) -> Plan:
     """
     name = f"run {trial.index} of the study"
     return make_plan(scenario_from(trial.scenario, name, (), REGISTRIES.backends.known()))
-
-
-def _plans(trials: tuple[Trial, ...]) -> list[Plan]:
-    """Return the plans of runs that differ in start and seed only."""
-    first = plan_of(trials[0])
-    starts = (Start.model_validate(trial.scenario.get("start", {})) for trial in trials)
-    seeds = (trial.scenario["seed"] for trial in trials)
-    return [started_at(first, *each) for each in zip(starts, seeds, strict=True)]
-
-
-def _run_alone(trial: Trial) -> Row:
-    try:
-        summary = run_session(plan_of(trial)).summary
-    except InputError as error:
-        return ended(REFUSED, str(error))
-    if summary["status"] == STOPPED:
-        raise WorkerStoppedError(summary["reason"])
-    return row_of(summary)
 
 
 def table_rows(loaded: LoadedStudy, log: StudyLog, died: dict[int, Row]) -> list[Row]:

@@ -37,7 +37,6 @@ class Trial:
     values : what is its own, by dotted key, the seed included.
     scenario : the keys of its scenario.
     key : digest of everything that its result depends on, to know it again in a later call.
-    kind : the same for all runs that may be driven together, None if none may.
     """
 
     index: int
@@ -45,7 +44,6 @@ class Trial:
     values: dict[str, Any]
     scenario: dict[str, Any]
     key: str
-    kind: str | None
 
 
 @dataclass(frozen=True)
@@ -69,9 +67,7 @@ class LoadedStudy:
                 own = study.trial(values, number)
                 scenario = overlaid(self.base, self._overrides(own))
                 index = cell * study.repeats + number
-                kind = _kind(own) if study.together else None
-                key = _digest(scenario, files, together=study.together)
-                yield Trial(index, cell, own, scenario, key, kind)
+                yield Trial(index, cell, own, scenario, _digest(scenario, files))
 
     def check(self, announce: Callable[[int, int], None] = lambda total, done: None) -> None:
         """Check every scenario that will be run: each cell, and each draw.
@@ -89,14 +85,15 @@ class LoadedStudy:
         study = self.study
         each = study.repeats if study.random else 1
         total = study.count // study.repeats * each
-        done, checked = 0, set()
+        done = 0
+        checked: set[str] = set()
         for values in study.cells():
             for number in range(each):
                 own = study.trial(values, number)
-                kind = _kind(own) if study.together else None
+                kind = _kind(own)
                 if kind not in checked or not self._starts(own):
                     self._check_one(own)
-                checked |= {kind} - {None}
+                checked.add(kind)
                 done += 1
                 announce(total, done)
 
@@ -189,11 +186,8 @@ def _kind(own: Mapping[str, Any]) -> str:
     return json.dumps(rest, sort_keys=True, default=str)
 
 
-def _digest(scenario: Mapping[str, Any], files: dict[str, str], *, together: bool) -> str:
-    """Return the digest of a scenario and of the files it names; ``files`` keeps theirs.
-
-    together : it may be driven with others, which rounds the last digit differently.
-    """
+def _digest(scenario: Mapping[str, Any], files: dict[str, str]) -> str:
+    """Return the digest of a scenario and of the files it names; ``files`` keeps theirs."""
     named = [(scenario.get("camera") or {}).get("name"), (scenario.get("target") or {}).get("file")]
     for name in named:
         if isinstance(name, str) and name not in files:
@@ -201,6 +195,5 @@ def _digest(scenario: Mapping[str, Any], files: dict[str, str], *, together: boo
             content = path.read_bytes() if path.is_file() else b""
             files[name] = hashlib.sha256(content).hexdigest()
     contents = [files.get(name) for name in named if isinstance(name, str)]
-    everything = [scenario, contents, *(["together"] if together else [])]
-    text = json.dumps(everything, sort_keys=True, default=str)
+    text = json.dumps([scenario, contents], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:32]

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from visctrl.contracts import Context, Obstacle, ObstacleProvider, Signal
 from visctrl.hal.types import Pose, Range
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.schemes.pose.estimate import PoseEstimate
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -22,7 +22,7 @@ _SIGMAS = 2.0
 _GROWS_M = 0.3
 
 
-class Disc(Document):
+class Disc(StrictModel):
     """An obstacle of which the robot learns when it comes near.
 
     x_m, y_m, radius_m : in the target's frame.
@@ -41,7 +41,7 @@ class Disc(Document):
         return Obstacle(c * dx + s * dy, c * dy - s * dx, self.radius_m + grown)
 
 
-class ListedOptions(Document):
+class ListedOptions(StrictModel):
     """Options of `Listed`."""
 
     discs: tuple[Disc, ...] = ()

@@ -13,7 +13,7 @@ from pydantic import Field
 from visctrl.contracts import Context, Obstacle, ObstacleProvider, Signal
 from visctrl.hal.types import Pose, Range
 from visctrl.planning.providers.occupancy_grid import CELL_M, EchoMap, Reading
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import relative_pose
 from visctrl.schemes.pose.estimate import PoseEstimate
 
@@ -28,7 +28,7 @@ _OLDEST_S = 1.0
 _SAME_S = 1e-6
 
 
-class SonarOptions(Document):
+class SonarOptions(StrictModel):
     """Options of `Sonar`.
 
     reach_m : readings are believed up to this distance; a longer one only says that nothing is

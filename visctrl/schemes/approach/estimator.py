@@ -17,11 +17,11 @@ from visctrl.geometry.two_view.planar import (
     sampson_residuals,
 )
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.schemes.trifocal.estimate import PlanarMotionEstimate
 
 
-class PlanarMotionOptions(Document):
+class PlanarMotionOptions(StrictModel):
     """Options of `PlanarMotionEstimator`.
 
     threshold_sigmas : residual beyond which a feature counts as an outlier.

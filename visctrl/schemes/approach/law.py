@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from visctrl.contracts import Context, Controller, Decision, Estimate, Health, Signal
 from visctrl.hal.types import STANDSTILL, Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.trifocal.estimate import PlanarMotionEstimate
 
@@ -20,7 +20,7 @@ Angle = Annotated[float, Field(gt=0.0, lt=180.0)]
 STANDING = math.radians(1.5)
 
 
-class FaceTargetOptions(Document):
+class FaceTargetOptions(StrictModel):
     """Options of `FaceTarget`.
 
     start_deg : a target whose bearing is smaller needs no turn.

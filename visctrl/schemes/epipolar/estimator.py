@@ -11,13 +11,13 @@ from pydantic import Field
 from visctrl.contracts import Context, Estimator, Health, Signal, Views
 from visctrl.geometry.two_view.planar_uncalibrated import ONE_PLANE
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.schemes.epipolar.estimate import EpipoleEstimate, EpipolePair
 from visctrl.schemes.epipolar.location_filter import LocationFilter
 from visctrl.schemes.epipolar.motion_solvers import Calibrated, Solver, Uncalibrated, solver_for
 from visctrl.schemes.epipolar.position import Structure
 from visctrl.schemes.epipolar.view_pairs import PairsFollower
-from visctrl.schemes.fixed_views import ALIGNED, REFERENCE, TARGET, FixedViews, Sight
+from visctrl.schemes.fixed_views import ALIGNED, REFERENCE, TARGET, FixedViews, ViewSet
 
 #: While the fixed views cannot be told apart, every so many ticks it is tried anew.
 _SEARCH_EVERY = 4
@@ -25,7 +25,7 @@ _SEARCH_EVERY = 4
 _DISTANCE_SD = 0.5
 
 
-class EpipolesOptions(Document):
+class EpipolesOptions(StrictModel):
     """Options of the estimator ``epipoles``.
 
     solver : ``planar-free`` leaves the focal length and the image's centre column open
@@ -186,7 +186,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
     def _locate(
         self,
         views: Views,
-        sight: Sight,
+        sight: ViewSet,
         target: EpipolePair,
         reference: EpipolePair,
         fixed: EpipolePair,
@@ -201,7 +201,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
             self._filter.place(placed)
         self._move_reference(views, target, self._filter)
 
-    def _structure_of(self, sight: Sight, found: LocationFilter) -> Structure:
+    def _structure_of(self, sight: ViewSet, found: LocationFilter) -> Structure:
         """Return where target and reference view see the features: constant while they stay."""
         structure = self._structure
         if structure is None or not structure.stands_for(sight.fixed, found.reference):

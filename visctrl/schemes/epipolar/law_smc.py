@@ -17,7 +17,7 @@ from pydantic import Field
 
 from visctrl.contracts import Context, Controller, Decision, Health, Signal
 from visctrl.hal.types import STANDSTILL, Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.schemes.epipolar.estimate import EpipoleEstimate, EpipolePair
 from visctrl.schemes.epipolar.gains import bounded_margins, decoupling_margins, depth_margin
 
@@ -25,7 +25,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
 
-class EpipolarSmcOptions(Document):
+class EpipolarSmcOptions(StrictModel):
     """Options of the controller ``epipolar-smc``; the defaults are the published parameters.
 
     duration_s : time of the whole task; align_fraction of it is step 1.

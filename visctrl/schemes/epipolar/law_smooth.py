@@ -23,7 +23,7 @@ from pydantic import Field
 from visctrl.contracts import Context, Controller, Decision, Health, Signal
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import wrap_angle
 from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.epipolar.estimate import EpipoleEstimate, Location
@@ -47,7 +47,7 @@ _STILL = (0.004, 0.03)
 _FIELD_PART = 0.6
 
 
-class EpipolarSmoothOptions(Document):
+class EpipolarSmoothOptions(StrictModel):
     """Options of the controller ``epipolar-smooth``.
 
     duration_s : time of the whole task; the robot arrives at nine tenths of it. None drives at a

@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import wrap_angle
 from visctrl.schemes.epipolar.estimate import Location
 
@@ -50,7 +50,7 @@ class Kind(StrEnum):
     BEHIND = "behind"
 
 
-class ManoeuvreOptions(Document):
+class ManoeuvreOptions(StrictModel):
     """Options of the manoeuvre.
 
     aligned_deg : |ψ| under which the three views count as aligned.

@@ -9,7 +9,7 @@ from visctrl.contracts import Health
 from visctrl.geometry.two_view.planar import IDENTICAL, PlanarMotion
 from visctrl.geometry.two_view.planar_uncalibrated import ONE_PLANE, SHORT_BASELINE
 from visctrl.schemes.epipolar.motion_solvers import PairSolver
-from visctrl.schemes.fixed_views import Sight
+from visctrl.schemes.fixed_views import ViewSet
 
 Array = NDArray[np.float64]
 
@@ -35,12 +35,14 @@ class PairsFollower:
         """Follow the pair of a fixed view from a motion; None where it is the current view."""
         self._last[name] = motion or self._solver.unmoved()
 
-    def update(self, sight: Sight, sigma: float, turn: float, seed: int) -> dict[str, PlanarMotion]:
+    def update(
+        self, sight: ViewSet, sigma: float, turn: float, seed: int
+    ) -> dict[str, PlanarMotion]:
         """Return the motion from each fixed view to the current one.
 
         Parameters
         ----------
-        sight : Sight
+        sight : ViewSet
         sigma : float
             Standard deviation of one ray's direction (rad).
         turn : float
@@ -63,7 +65,7 @@ class PairsFollower:
             self._last[name] = motion
         return {name: self._last[name] for name in sight.names}
 
-    def _start(self, sight: Sight, index: int, turn: float, sigma: float) -> PlanarMotion | None:
+    def _start(self, sight: ViewSet, index: int, turn: float, sigma: float) -> PlanarMotion | None:
         """Return what to follow a pair from; a motion that is not determined may mislead."""
         name = sight.names[index]
         last = self._last[name]
@@ -76,7 +78,7 @@ class PairsFollower:
         return None
 
     def _followed(
-        self, sight: Sight, starts: dict[int, PlanarMotion], turn: float, sigma: float
+        self, sight: ViewSet, starts: dict[int, PlanarMotion], turn: float, sigma: float
     ) -> dict[int, PlanarMotion]:
         """Return those motions near their starts that most features agree with."""
         if not starts:

@@ -13,13 +13,13 @@ from pydantic import Field, model_validator
 from visctrl.contracts import Context, Estimator, Health, Signal, Views
 from visctrl.geometry.trifocal.transfer import bearings
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.schemes.pose.estimate import POSE_SIGNALS, Need, PoseEstimate
 from visctrl.schemes.pose.first_leg import Leg
 from visctrl.schemes.pose.leg_collector import ForwardLeg
 from visctrl.schemes.pose.leg_start import Start, solve_leg
 from visctrl.schemes.pose.motion_model import MotionNoise, RampedVelocity
-from visctrl.schemes.pose.schmidt_ekf import CORE, Innovation, TransferFilter
+from visctrl.schemes.pose.schmidt_ekf import CORE, Innovation, SchmidtEkf
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -30,7 +30,7 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 _GROWTH = 1.3
 
 
-class TransferOptions(Document):
+class TransferOptions(StrictModel):
     """Options of `PoseTransfer`.
 
     initial_frames : frames averaged at the start, the robot standing.
@@ -67,7 +67,7 @@ class TransferOptions(Document):
 
 
 class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
-    """Stands, drives a first leg, then filters; see `TransferFilter`."""
+    """Stands, drives a first leg, then filters; see `SchmidtEkf`."""
 
     Options: ClassVar[type[TransferOptions]] = TransferOptions
     signals: ClassVar[tuple[Signal, ...]] = (
@@ -88,7 +88,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         self._next_try = self.options.leg_min_m
         self._frames = 0
         self._failed = ""
-        self._filter: TransferFilter | None = None
+        self._filter: SchmidtEkf | None = None
         self._last: PoseEstimate | None = None
         self._ids: Ids = np.empty(0, dtype=np.int64)
         self._unused: NDArray[np.int64] = np.empty(0, dtype=np.int64)
@@ -174,7 +174,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
 
     # --- filtering ---------------------------------------------------------------------------
 
-    def _correct(self, state: TransferFilter, views: Views) -> None:
+    def _correct(self, state: SchmidtEkf, views: Views) -> None:
         if not np.array_equal(views.ids, self._seen.ids):
             self._seen = _Seen(views.ids, self._ids)
         seen, sigma, theta2 = self._seen, views.bearing_sigmas(), bearings(views.current)
@@ -193,7 +193,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
             self._seen = _Seen(views.ids, self._ids)
 
     def _exchange(
-        self, state: TransferFilter, views: Views, spare: NDArray[np.intp], sigma: Array
+        self, state: SchmidtEkf, views: Views, spare: NDArray[np.intp], sigma: Array
     ) -> None:
         """Put features that are seen into the places of those that have long been useless."""
         idle = np.flatnonzero(self._unused >= self.options.exchange_frames)
@@ -208,7 +208,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
             self._ids[slot] = views.ids[feature]
             self._unused[slot] = 0
 
-    def _estimate(self, state: TransferFilter) -> PoseEstimate:
+    def _estimate(self, state: SchmidtEkf) -> PoseEstimate:
         health = self._blindness()
         self._last = PoseEstimate(
             health=health,
@@ -219,7 +219,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         )
         return self._last
 
-    def _covariance(self, state: TransferFilter) -> Array:
+    def _covariance(self, state: SchmidtEkf) -> Array:
         """Return the metric covariance of the pose, the odometer's factor included."""
         gain = self.options.noise.gain
         if gain == 0.0:
@@ -249,7 +249,7 @@ class _Seen:
         self.known, self.spare = np.flatnonzero(known), np.flatnonzero(~known)
 
 
-def _started(start: Start, seen: Leg, leg: ForwardLeg) -> TransferFilter:
+def _started(start: Start, seen: Leg, leg: ForwardLeg) -> SchmidtEkf:
     """Return the filter at the end of the first leg."""
     n = len(seen.theta1)
     s, c = math.sin(start.phi), math.cos(start.phi)
@@ -271,4 +271,4 @@ def _started(start: Start, seen: Leg, leg: ForwardLeg) -> TransferFilter:
     turned = start.q * R
     P[:2, :2] += turned @ leg.spread[:2, :2] @ turned.T
     P[5, 5] += start.q**2 * leg.spread[1, 1] / max(leg.travelled, 1e-6) ** 2
-    return TransferFilter(x, P, seen.theta1, seen.theta3)
+    return SchmidtEkf(x, P, seen.theta1, seen.theta3)

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from visctrl.contracts import Context, Estimator, Health, Signal, Views
 from visctrl.hal.types import Pose, Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import compose
 from visctrl.schemes.pose.estimate import POSE_SIGNALS, Need, PoseEstimate
 from visctrl.schemes.pose.initial_pose import initial_by_essential, initial_by_tensor
@@ -34,7 +34,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 
-class KnownPose(Document):
+class KnownPose(StrictModel):
     """A pose in the target's frame that somebody measured."""
 
     x_m: float
@@ -47,7 +47,7 @@ class KnownPose(Document):
         return np.array([self.x_m, self.y_m, math.radians(self.phi_deg)])
 
 
-class InitialSpread(Document):
+class InitialSpread(StrictModel):
     """Standard deviations of the first pose, P0."""
 
     x_m: Positive = 0.05
@@ -60,7 +60,7 @@ class InitialSpread(Document):
         return np.diag([self.x_m**2, self.y_m**2, math.radians(self.phi_deg) ** 2])
 
 
-class EkfOptions(Document):
+class EkfOptions(StrictModel):
     """Options of `PoseEkf`.
 
     measurement : elements of the tensor, or epipoles.

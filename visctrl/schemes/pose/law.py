@@ -22,7 +22,7 @@ from visctrl.planning.paths import (
 )
 from visctrl.robots.errors import InputError
 from visctrl.schemes.pose.estimate import Need, PoseEstimate
-from visctrl.schemes.pose.waypoints import TARGET, Goal, Itinerary, Stage
+from visctrl.schemes.pose.waypoints import TARGET, Goal, Stage, Waypoints
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -105,7 +105,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
                     f"{context.period_s:g} s: it must be under 2/Ts = {bound:g}"
                 )
         self._avoidance = Avoidance(options, context)
-        self._itinerary: Itinerary | None = None
+        self._itinerary: Waypoints | None = None
         self._stage: Stage | None = None
         self._turning = False
         self._t = 0.0
@@ -135,7 +135,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
                 return Decision(STANDSTILL, "blocked")
             return Decision(Velocity(self.options.advance_m_s, 0.0), "advance")
         if self._itinerary is None:
-            self._itinerary = Itinerary(self.options.goals, self.options.tau_s, estimate.pose)
+            self._itinerary = Waypoints(self.options.goals, self.options.tau_s, estimate.pose)
         self._elapsed += dt
         if self._stage is not None:
             self._stage.time += dt * self._stage.pace
@@ -172,7 +172,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
 
     # --- stages ------------------------------------------------------------------------------
 
-    def _begin(self, itinerary: Itinerary, estimate: PoseEstimate) -> Decision:
+    def _begin(self, itinerary: Waypoints, estimate: PoseEstimate) -> Decision:
         """Turn on the spot if the next stage asks for it, then start it."""
         asked = itinerary.time_for_next(estimate.pose, self._elapsed)
         nearest = self._stage_to(itinerary.left[0], self.context.camera_forward_m, estimate)
@@ -245,13 +245,13 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         rest = stage.rest(estimate.pose, estimate.initial)
         return self._avoidance.blocked(estimate.pose, rest, goal)
 
-    def _halt(self, itinerary: Itinerary, *, under_way: bool) -> Decision:
+    def _halt(self, itinerary: Waypoints, *, under_way: bool) -> Decision:
         """Give up the stage and stop."""
         itinerary.give_up(under_way=under_way)
         self._stage = None
         return self._avoidance.halt(self._t)
 
-    def _find_way(self, itinerary: Itinerary, estimate: PoseEstimate) -> Decision | None:
+    def _find_way(self, itinerary: Waypoints, estimate: PoseEstimate) -> Decision | None:
         """Return what to do about what blocks the way; None once there is a way."""
         pose, aim = estimate.pose, itinerary.aim
         tau = itinerary.time_for_next(pose, self._elapsed)

@@ -11,13 +11,13 @@ from pydantic import Field
 
 from visctrl.hal.types import Velocity
 from visctrl.robots import Limits
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 Array = NDArray[np.float64]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 
-class MotionNoise(Document):
+class MotionNoise(StrictModel):
     """How what a base executes scatters about what it is told, anew in every tick.
 
     v_m_s, omega_deg_s : standard deviations.

@@ -104,7 +104,7 @@ class _Slopes:
         return np.asarray(product, dtype=np.float64)
 
 
-class TransferFilter:
+class SchmidtEkf:
     """Extended Kalman filter on the scale-free geometry of three views.
 
     Parameters

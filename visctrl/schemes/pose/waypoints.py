@@ -13,14 +13,14 @@ from pydantic import Field
 from visctrl.hal.types import Pose
 from visctrl.planning.footprint import along, samples
 from visctrl.planning.paths import ParabolicPath, detour, path_between, reachable
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import compose, relative_pose
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 
-class Goal(Document):
+class Goal(StrictModel):
     """An intermediate goal, reached with the heading 0.
 
     until_s : when it is to be reached, from the start of the path; by its share of the way if
@@ -91,7 +91,7 @@ class Stage:
         return along(path, pose.phi, self.lever, here, samples(abs(path.goal[1] - here)))
 
 
-class Itinerary:
+class Waypoints:
     """The goals that are left, and when they are to be reached.
 
     Parameters

@@ -42,7 +42,7 @@ class Outputs(NamedTuple):
     xi_2: float
 
 
-class Situation(NamedTuple):
+class TrifocalState(NamedTuple):
     """What the law reads off an estimate.
 
     right, forward : target's position in units of T_N; lateral_sd : sd of the former.
@@ -62,7 +62,7 @@ class Situation(NamedTuple):
     gap: float
 
     @classmethod
-    def of(cls, estimate: TensorEstimate, offset: float) -> Situation:
+    def of(cls, estimate: TensorEstimate, offset: float) -> TrifocalState:
         """Read an estimate; ``offset`` is the camera ahead of the axle (m).
 
         The law moves the axle's centre, so an offset camera's target is replaced by that of
@@ -96,7 +96,7 @@ class Situation(NamedTuple):
         )
 
 
-def decoupled(seen: Situation, rates: Outputs, damping: float) -> Velocity:
+def decoupled(seen: TrifocalState, rates: Outputs, damping: float) -> Velocity:
     """Return M⁻¹ (ξ1', ξ2') (3.9), with ω damped where M becomes singular (damping > 0)."""
     s, c = math.sin(seen.phi_1), math.cos(seen.phi_1)
     forward_rate = c * rates.xi_1 - s * rates.xi_2
@@ -106,7 +106,7 @@ def decoupled(seen: Situation, rates: Outputs, damping: float) -> Velocity:
 
 
 def position_step(
-    seen: Situation, reference: Outputs, reference_rate: Outputs, gains: Gains
+    seen: TrifocalState, reference: Outputs, reference_rate: Outputs, gains: Gains
 ) -> Velocity:
     """Return the velocity of step 1: tracking of the references (3.7)–(3.10)."""
     s_1, s_2 = seen.outputs.xi_1 - reference.xi_1, seen.outputs.xi_2 - reference.xi_2
@@ -120,7 +120,7 @@ def position_step(
     return decoupled(seen, rates, gains.damping)
 
 
-def bounded(s_1: float, s_2: float, seen: Situation, gains: Gains) -> Velocity:
+def bounded(s_1: float, s_2: float, seen: TrifocalState, gains: Gains) -> Velocity:
     """Return the bounded law near the singularity (3.10)."""
     layer = gains.boundary_layer
     return Velocity(
@@ -129,7 +129,7 @@ def bounded(s_1: float, s_2: float, seen: Situation, gains: Gains) -> Velocity:
     )
 
 
-def orientation_step(seen: Situation, gains: Gains) -> Velocity:
+def orientation_step(seen: TrifocalState, gains: Gains) -> Velocity:
     """Return the velocity of step 2 as published: (3.12), and the bounded v on ξ1."""
     v = gains.k_v_m_s * switching(seen.outputs.xi_1, gains.boundary_layer)
     return Velocity(v, gains.lambda_omega * seen.tilt)
@@ -145,7 +145,7 @@ def without_spinning(wanted: Velocity) -> Velocity:
     return Velocity(wanted.v, max(-most, min(most, wanted.omega)))
 
 
-def settling_step(seen: Situation, gains: Gains) -> Velocity:
+def settling_step(seen: TrifocalState, gains: Gains) -> Velocity:
     """Return the velocity of step 2 on angles and metres: proportional, without a dead band.
 
     While it turns, the robot keeps nulling what forward error there is.

@@ -18,7 +18,7 @@ from visctrl.schemes.trifocal.estimate import TensorEstimate
 from visctrl.schemes.trifocal.law import (
     Gains,
     Outputs,
-    Situation,
+    TrifocalState,
     orientation_step,
     position_step,
     settling_step,
@@ -127,7 +127,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
                 return decision
         if estimate.health is not Health.OK:
             return self._hold()
-        seen = Situation.of(estimate, self.context.camera_forward_m)
+        seen = TrifocalState.of(estimate, self.context.camera_forward_m)
         self._values = {"determinant": seen.determinant}
         if self._phase == "advance":
             self._begin_position(seen, estimate.scale_sd_m)
@@ -163,7 +163,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             self._phase = "orientation"
         return there
 
-    def _astray(self, seen: Situation) -> bool:
+    def _astray(self, seen: TrifocalState) -> bool:
         """Return whether the robot has got much farther from the target than it began.
 
         No law does that on purpose: its gains, φ1 or scale must be far from the truth.
@@ -185,7 +185,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             return self._hold()
         return self._command(Velocity(self.options.advance_m_s, 0.0), dt)
 
-    def _begin_position(self, seen: Situation | None, scale_sd: float = math.inf) -> None:
+    def _begin_position(self, seen: TrifocalState | None, scale_sd: float = math.inf) -> None:
         self._progress = 0.0
         self._waited = 0.0
         self._arrival = Arrival(self.options)
@@ -207,7 +207,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             again=self._retreats > 0,
         )
 
-    def _position(self, seen: Situation, dt: float) -> Velocity:
+    def _position(self, seen: TrifocalState, dt: float) -> Velocity:
         """Return step 1's velocity and advance its clock; step 2 follows when it is over."""
         reference, rate = self._references(seen)
         s_1 = seen.outputs.xi_1 - reference.xi_1
@@ -236,7 +236,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
                 self._phase, self._waited = "orientation", 0.0
         return wanted
 
-    def _references(self, seen: Situation) -> tuple[Outputs, Outputs]:
+    def _references(self, seen: TrifocalState) -> tuple[Outputs, Outputs]:
         """Return the references of ξ1, ξ2 and their rates (1/s)."""
         level, slope = self._reference.at(self._progress)
         right, forward = self._from
@@ -249,13 +249,13 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             Outputs(c * a_rate + s * b_rate, c * b_rate - s * a_rate),
         )
 
-    def _orientation(self, seen: Situation, dt: float) -> Velocity:
+    def _orientation(self, seen: TrifocalState, dt: float) -> Velocity:
         self._waited += dt
         if self._published:
             return orientation_step(seen, self._gains)
         return settling_step(seen, self._gains)
 
-    def _finished(self, seen: Situation, dt: float) -> bool:
+    def _finished(self, seen: TrifocalState, dt: float) -> bool:
         """Return whether the robot's own measurements say that it is there (or time is up)."""
         options = self.options
         if options.finish == "time":
@@ -268,7 +268,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             self._phase = "retreat"
         return verdict is Verdict.THERE
 
-    def _retreat(self, seen: Situation) -> Velocity:
+    def _retreat(self, seen: TrifocalState) -> Velocity:
         """Return the velocity straight back; step 1 begins again from there."""
         if seen.forward * seen.scale >= self._arrival.room_m:
             self._sent = STANDSTILL

@@ -30,7 +30,7 @@ from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
-from visctrl.schemes.trifocal.law import Situation
+from visctrl.schemes.trifocal.law import TrifocalState
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -124,7 +124,7 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             if not ready:
                 self._sent = self._shaper.command(Velocity(_BLIND_SPEED, 0.0), dt)
                 return Decision(self._sent, "advance")
-        seen = Situation.of(estimate, self.context.camera_forward_m)
+        seen = TrifocalState.of(estimate, self.context.camera_forward_m)
         distance = seen.scale * math.hypot(seen.right, seen.forward)
         sure = estimate.scale_sd_m < _KNOWN_SCALE * seen.scale
         known = sure or self._driven > _LONGEST_WAIT_M
@@ -175,7 +175,7 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             self._phi_1 = math.atan2(grown, fallen)
         return replace(estimate, phi_1=self._phi_1), True
 
-    def _approach(self, seen: Situation, known: bool) -> Velocity:
+    def _approach(self, seen: TrifocalState, known: bool) -> Velocity:
         options = self.options
         s, c = math.sin(seen.heading), math.cos(seen.heading)
         lateral = seen.scale * (s * seen.forward - c * seen.right)
@@ -214,14 +214,14 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             slowing = math.sqrt(2.0 * _ACCELERATION_SHARE * limits.acceleration_m_s2 * ahead)
         return min(cruise, slowing, self.options.lambda_v * left)
 
-    def _settle(self, seen: Situation) -> Velocity:
+    def _settle(self, seen: TrifocalState) -> Velocity:
         """Close forward error and heading, each by its own input."""
         return Velocity(
             self.options.lambda_v * seen.scale * seen.forward,
             -self.options.lambda_omega * seen.heading,
         )
 
-    def _arrived(self, seen: Situation, dt: float) -> bool:
+    def _arrived(self, seen: TrifocalState, dt: float) -> bool:
         place = seen.right * seen.scale, seen.forward * seen.scale
         verdict = self._arrival.judge(place, seen.heading, self._sent, dt)
         if verdict is Verdict.BESIDE and self._retreats < self.options.retreats:
@@ -229,7 +229,7 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             self._phase = "retreat"
         return verdict is Verdict.THERE
 
-    def _retreat(self, seen: Situation) -> Velocity:
+    def _retreat(self, seen: TrifocalState) -> Velocity:
         """Return the velocity straight back; the approach begins again from there."""
         if seen.forward * seen.scale >= self._arrival.room_m:
             self._phase, self._arrival = "approach", Arrival(self.options)

@@ -12,12 +12,12 @@ from pydantic import Field
 
 from visctrl.contracts import Context, Health, Views
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 
 Array = NDArray[np.float64]
 
 
-class TensorOptions(Document):
+class TensorOptions(StrictModel):
     """Options of `Tensor`.
 
     method : ``constrained`` takes φ1 and the target's direction once from the planar essential

@@ -27,7 +27,7 @@ from visctrl.geometry.trifocal.tensor2d import (
 )
 from visctrl.geometry.two_view.planar import ransac_planar_motion
 from visctrl.hal.types import Velocity
-from visctrl.robots.documents import Document
+from visctrl.robots.documents import StrictModel
 from visctrl.schemes.path_scale import DeadReckoning, PathScale
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ _FAR = 0.5
 Positive = Annotated[float, Field(gt=0.0)]
 
 
-class Tensor2dOptions(Document):
+class Tensor2dOptions(StrictModel):
     """Options of `Tensor2d`.
 
     phi_1 : where φ1 comes from: the initial and target views, 0, or ``phi_1_deg``.
