@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from visctrl.contracts import Context
 from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Frame, Pose, Velocity
 from visctrl.perception.klt import Klt, KltOptions
 from visctrl.robots import load_robot
@@ -74,16 +75,9 @@ class Stopwatch:
 def drive(camera: CentralCamera, count: int) -> tuple[list[Frame], list[Frame]]:
     """Return the target frames and the frames of a drive towards the target."""
     robot = load_robot("p3dx")
+    mount, limits = robot.mount("centre"), robot.operating
     backend = SimBackend(
-        robot,
-        camera,
-        camera,
-        robot.mount("centre"),
-        START,
-        robot.operating,
-        SimOptions(),
-        seed=1,
-        realtime=False,
+        BackendSetup(robot, mount, camera, camera, START, limits, SimOptions(), seed=1)
     )
     with backend:
         target, frames = backend.teach(3), []

@@ -7,14 +7,16 @@ hardware layer knows which one is running.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import TracebackType
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import BaseStatus, Frame, Odometry, Pose, Range, Velocity
-from visctrl.robots import Robot
+from visctrl.robots import Limits, Robot
 from visctrl.robots.documents import StrictModel
+from visctrl.robots.model import Mount
 
 _NOTHING_TO_REPORT = BaseStatus()
 
@@ -83,25 +85,85 @@ class Base(ABC):
         self.command(Velocity(0.0, 0.0))
 
 
+class BackendOptions(StrictModel):
+    """A backend's own section of a scenario.
+
+    flags : the options of the command line that this backend understands, and the key that each
+        sets, for example ``{"--port": "port"}``; all others it refuses.
+    """
+
+    flags: ClassVar[Mapping[str, str]] = {}
+
+
+OptionsT = TypeVar("OptionsT", bound=BackendOptions)
+
+
+@dataclass(frozen=True)
+class BackendSetup(Generic[OptionsT]):
+    """What a backend is built from: all that a scenario says about robot, camera and world.
+
+    robot, mount : which robot, and where its camera sits.
+    camera : the calibration that the robot believes in.
+    true_camera : what simulated frames are made with; hardware can only refuse another one.
+    start : pose of the camera in the target's frame, where a simulated robot begins; hardware
+        stands where it stands.
+    limits : bounds of speed and acceleration; None for a base without any.
+    options : the backend's own, checked.
+    seed : of every random draw of a simulation.
+    realtime : whether a simulated clock follows the wall clock instead of the caller's ticks.
+    """
+
+    robot: Robot
+    mount: Mount
+    camera: CentralCamera
+    true_camera: CentralCamera
+    start: Pose
+    limits: Limits | None
+    options: OptionsT
+    seed: int = 0
+    realtime: bool = False
+
+
 class Backend(ABC):
     """A robot with its camera and clock, opened as a context manager.
 
-    Leaving the context stops the base and releases every device, whatever happened.
+    Leaving the context stops the base and releases every device, whatever happened. Building
+    one touches nothing: devices are opened, and worlds made, in `open`.
+
+    Parameters
+    ----------
+    setup : BackendSetup
+        What to build it from.
     """
 
+    #: What its section of a scenario may hold.
+    Options: ClassVar[type[BackendOptions]]
     #: Whether frames carry identified features; else they carry images.
     delivers_features: ClassVar[bool] = False
 
-    robot: Robot
     camera: Camera
     base: Base
     clock: Clock
 
+    def __init__(self, setup: BackendSetup[Any]) -> None:
+        self.setup = setup
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that it drives."""
+        return self.setup.robot
+
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
+    def measures_ranges(cls, robot: Robot, options: Any) -> bool:
         """Return whether the base would have range sensors; the default has none."""
         del robot, options
         return False
+
+    @classmethod
+    def kept_limits(cls, limits: Limits, options: Any) -> Limits | None:
+        """Return the bounds that the base keeps; the default keeps those that it is given."""
+        del options
+        return limits
 
     @abstractmethod
     def open(self) -> None:

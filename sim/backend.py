@@ -11,12 +11,10 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.clock import WallClock, WorldClock
 from visctrl.hal.errors import CameraError, LinkError
 from visctrl.hal.faults import FaultyCapture, check_link
-from visctrl.hal.interfaces import Backend, Base, Camera
+from visctrl.hal.interfaces import Backend, BackendSetup, Base, Camera
 from visctrl.hal.pioneer.subclasses import ring_of
 from visctrl.hal.types import Frame, Odometry, Pose, Range, Velocity
-from visctrl.robots import Limits, Robot
-from visctrl.robots.documents import StrictModel
-from visctrl.robots.model import Mount
+from visctrl.robots import Robot
 from visctrl.sim.options import SimOptions
 from visctrl.sim.render.imaging import Sensor
 from visctrl.sim.render.renderer_choice import open_renderer
@@ -76,60 +74,23 @@ class SimBase(Base):
 
 
 class SimBackend(Backend):
-    """A robot in a PyBullet scene with a rendered camera.
+    """A robot in a PyBullet scene with a rendered camera (see `Backend`).
 
-    Parameters
-    ----------
-    robot : Robot
-        Body and wheels.
-    camera : CentralCamera
-        The calibration that the robot believes in.
-    true_camera : CentralCamera
-        What its images are really made with.
-    mount : Mount
-        Where the camera sits.
-    start : Pose
-        Camera pose at the start, in the target's frame.
-    limits : Limits or None
-        Bounds of the base; None for one without bounds and ramp.
-    options : SimOptions
-        Scene, renderer, sensor, actuation, faults.
-    seed : int
-        Of image noise, exposure and dropped frames. The scene has its own.
-    realtime : bool
-        Follow the wall clock instead of stepping as fast as possible.
+    The seed is that of image noise, exposure and dropped frames; the scene has its own.
     """
 
     Options: ClassVar[type[SimOptions]] = SimOptions
 
     # Narrower than the interface: what this backend really has.
+    setup: BackendSetup[SimOptions]
     clock: WorldClock
 
-    def __init__(
-        self,
-        robot: Robot,
-        camera: CentralCamera,
-        true_camera: CentralCamera,
-        mount: Mount,
-        start: Pose,
-        limits: Limits | None,
-        options: SimOptions,
-        seed: int,
-        realtime: bool,
-    ) -> None:
-        self.robot = robot
-        self._model = camera
-        self._true_model = true_camera
-        self._mount = mount
-        self._start = start
-        self._limits = limits
-        self._options = options
-        self._seed = seed
-        self._realtime = realtime
+    def __init__(self, setup: BackendSetup[SimOptions]) -> None:
+        super().__init__(setup)
         self._world: World | None = None
 
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
+    def measures_ranges(cls, robot: Robot, options: SimOptions) -> bool:
         """See `Backend.measures_ranges`: rays stand for the sonar rings that the robot has."""
         del options
         return bool(ring_of(robot.name))
@@ -142,17 +103,17 @@ class SimBackend(Backend):
         InputError
             The scene or renderer cannot be used, or the start or the target is not free.
         """
-        scene = self._scene()
-        scene.check_clear(self._start, self._mount.forward_m, self.robot, "start")
-        scene.check_clear(_TARGET, self._mount.forward_m, self.robot, "target")
+        setup, scene = self.setup, self._scene()
+        scene.check_clear(setup.start, setup.mount.forward_m, self.robot, "start")
+        scene.check_clear(_TARGET, setup.mount.forward_m, self.robot, "target")
         self._world = self._build(scene)
-        self._world.put(self._start)
-        clock = WorldClock(self._world.advance, WallClock() if self._realtime else None)
-        rng = np.random.default_rng([self._seed, 2])
-        capture = FaultyCapture(self._options.faults, rng)
+        self._world.put(setup.start)
+        clock = WorldClock(self._world.advance, WallClock() if setup.realtime else None)
+        rng = np.random.default_rng([setup.seed, 2])
+        capture = FaultyCapture(setup.options.faults, rng)
         self.clock = clock
-        self.camera = SimCamera(self._model, self._world, clock, capture)
-        self.base = SimBase(self._world, clock, self._options)
+        self.camera = SimCamera(setup.camera, self._world, clock, capture)
+        self.base = SimBase(self._world, clock, setup.options)
 
     def close(self) -> None:
         """See `Backend.close`."""
@@ -165,7 +126,7 @@ class SimBackend(Backend):
         world = self._opened()
         world.put(_TARGET)
         frames = [world.photograph(self.clock.now()) for _ in range(count)]
-        world.put(self._start)
+        world.put(self.setup.start)
         return frames
 
     def move(self, item: str, at: Pose) -> None:
@@ -190,7 +151,7 @@ class SimBackend(Backend):
         return self._world.physics.contacts if self._world is not None else 0
 
     def _scene(self) -> Scene:
-        scene = load_scene(self._options.scene)
+        scene = load_scene(self.setup.options.scene)
         boxes = [
             Item(
                 name=f"box {number}",
@@ -198,14 +159,13 @@ class SimBackend(Backend):
                 size_m=(box.width_m, box.depth_m, box.height_m),
                 yaw_deg=box.yaw_deg,
             )
-            for number, box in enumerate(self._options.boxes, 1)
+            for number, box in enumerate(self.setup.options.boxes, 1)
         ]
         return scene.model_copy(update={"items": (*scene.items, *boxes)})
 
     def _build(self, scene: Scene) -> World:
-        options = self._options
-        model = self._true_model
-        if (model.width, model.height) != (self._model.width, self._model.height):
+        setup, options, model = self.setup, self.setup.options, self.setup.true_camera
+        if (model.width, model.height) != (setup.camera.width, setup.camera.height):
             raise CameraError("the true camera's images have another size than the calibration's")
         physics = Physics(scene, self.robot, options.gui)
         try:
@@ -221,10 +181,10 @@ class SimBackend(Backend):
             options.image_noise,
             options.blur_px,
             options.exposure,
-            self._seed,
+            setup.seed,
         )
-        actuation = Actuation(self._limits, options.actuation)
-        return World(physics, renderer, sensor, actuation, options.actuation, self._mount)
+        actuation = Actuation(setup.limits, options.actuation)
+        return World(physics, renderer, sensor, actuation, options.actuation, setup.mount)
 
     def _opened(self) -> World:
         if self._world is None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
 from visctrl.hal.actuation import ActuationOptions
 from visctrl.hal.faults import Faults
+from visctrl.hal.interfaces import BackendOptions
 from visctrl.robots.documents import StrictModel
 from visctrl.sim.world.scene_files import check_scene_name
 
@@ -26,7 +28,7 @@ class Box(StrictModel):
     yaw_deg: float = 0.0
 
 
-class SimOptions(StrictModel):
+class SimOptions(BackendOptions):
     """Options of the simulated backend.
 
     scene : name of a scene of this package, or the path of a scene file.
@@ -42,6 +44,8 @@ class SimOptions(StrictModel):
     show_floor : draw the textures of floor and ceiling; without, each is one shade.
     gui : show PyBullet's own window.
     """
+
+    flags: ClassVar[Mapping[str, str]] = {"--gui": "gui"}
 
     scene: str = "hall"
     boxes: tuple[Box, ...] = ()

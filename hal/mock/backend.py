@@ -7,7 +7,7 @@ Milliseconds per run, for tests and for Monte Carlo studies. It imitates what sp
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Annotated, ClassVar
 
@@ -19,12 +19,11 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.clock import WallClock, WorldClock
 from visctrl.hal.errors import LinkError
 from visctrl.hal.faults import Faults, FaultyCapture, check_link
-from visctrl.hal.interfaces import Backend, Base, Camera
+from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup, Base, Camera
 from visctrl.hal.mock.scene import scatter, view_matrix
 from visctrl.hal.types import STANDSTILL, Features, Frame, Odometry, Pose, Velocity
-from visctrl.robots import Limits, Robot
+from visctrl.robots import Limits
 from visctrl.robots.documents import StrictModel
-from visctrl.robots.model import Mount
 from visctrl.robots.unicycle import along_arc, wrapped
 
 #: Longest step of the motion while delays and ramps shape it, and one that is none (s).
@@ -54,7 +53,7 @@ class Scatter(StrictModel):
     omega_deg_s: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
 
 
-class MockOptions(StrictModel):
+class MockOptions(BackendOptions):
     """Scene, camera noise and actuation of the mock.
 
     features : number of points in the scene.
@@ -64,6 +63,8 @@ class MockOptions(StrictModel):
     scatter : of the executed motion; the wheels do not notice it.
     ideal : no speed limits, ramps, quantisation, delay or slip, as in published simulations.
     """
+
+    flags: ClassVar[Mapping[str, str]] = {"--noise-px": "noise_px"}
 
     features: Annotated[int, Field(ge=1, le=100_000)] = 60
     near_m: Metres = 2.0
@@ -84,51 +85,19 @@ class MockOptions(StrictModel):
 
 
 class MockBackend(Backend):
-    """A simulated robot without physics or rendering.
-
-    Parameters
-    ----------
-    robot, mount : Robot, Mount
-        Which robot, and where its camera sits.
-    camera, true_camera : CentralCamera
-        The calibration that the robot believes in, and the camera that frames are made with.
-    start : Pose
-        Start pose of the camera in the target's frame.
-    limits : Limits or None
-        Bounds of speed and acceleration; None for a base without any.
-    options : MockOptions
-        Scene, noise, actuation and faults.
-    seed : int
-        Of the scene and of every noise.
-    realtime : bool
-        Follow the wall clock instead of the caller's ticks.
-    """
+    """A simulated robot without physics or rendering (see `Backend`)."""
 
     Options: ClassVar[type[MockOptions]] = MockOptions
     delivers_features = True
 
-    def __init__(
-        self,
-        robot: Robot,
-        camera: CentralCamera,
-        true_camera: CentralCamera,
-        mount: Mount,
-        start: Pose,
-        limits: Limits | None,
-        options: MockOptions,
-        seed: int,
-        realtime: bool,
-    ) -> None:
-        self.robot = robot
-        self._belief = camera
-        self._true_camera = true_camera
-        self._mount = mount
-        self._start = start
-        self._limits = None if options.ideal else limits
-        self._options = options
-        self._seed = seed
-        self._realtime = realtime
+    def __init__(self, setup: BackendSetup[MockOptions]) -> None:
+        super().__init__(setup)
         self._motion: _Motion | None = None
+
+    @classmethod
+    def kept_limits(cls, limits: Limits, options: MockOptions) -> Limits | None:
+        """See `Backend.kept_limits`: an ideal robot has none."""
+        return None if options.ideal else limits
 
     def open(self) -> None:
         """Scatter the scene and put the robot at its start.
@@ -138,33 +107,32 @@ class MockBackend(Backend):
         InputError
             Start and target see too little in common.
         """
-        options = self._options
+        setup, options = self.setup, self.setup.options
         points = scatter(
             options.features,
             (options.near_m, options.far_m),
-            self._true_camera,
-            self._mount,
-            self._start,
-            Purpose.SCENE.generator(self._seed),
+            setup.true_camera,
+            setup.mount,
+            setup.start,
+            Purpose.SCENE.generator(setup.seed),
         )
-        actuation = _EXACT if options.ideal else options.actuation
         motion = _Motion(
-            self._start,
-            self._mount.forward_m,
-            self._limits,
-            actuation,
-            _scattering(options.scatter, Purpose.SCATTER.generator(self._seed)),
+            setup.start,
+            setup.mount.forward_m,
+            None if options.ideal else setup.limits,
+            _EXACT if options.ideal else options.actuation,
+            _scattering(options.scatter, Purpose.SCATTER.generator(setup.seed)),
         )
-        clock = WorldClock(motion.advance, WallClock() if self._realtime else None)
-        drops = FaultyCapture(options.faults, Purpose.DROPS.generator(self._seed))
-        projector = _Projector(points, self._true_camera, options.noise_px)
+        clock = WorldClock(motion.advance, WallClock() if setup.realtime else None)
+        drops = FaultyCapture(options.faults, Purpose.DROPS.generator(setup.seed))
+        projector = _Projector(points, setup.true_camera, options.noise_px)
         self._motion, self.clock = motion, clock
         self.camera = MockCamera(
-            self._belief, projector, motion, clock, drops, Purpose.NOISE.generator(self._seed)
+            setup.camera, projector, motion, clock, drops, Purpose.NOISE.generator(setup.seed)
         )
         self.base = MockBase(motion, clock, options.faults)
         self._projector = projector
-        self._teach_rng = Purpose.TEACHING.generator(self._seed)
+        self._teach_rng = Purpose.TEACHING.generator(setup.seed)
 
     def close(self) -> None:
         """Stop the robot; its base takes no more commands."""
@@ -189,6 +157,7 @@ class MockBackend(Backend):
         return self._motion.camera_pose()
 
     # Narrower than the interface: what this backend really has.
+    setup: BackendSetup[MockOptions]
     camera: MockCamera
     clock: WorldClock
     base: MockBase

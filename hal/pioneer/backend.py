@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 from pydantic import Field
 
 from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
-from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.clock import WallClock
 from visctrl.hal.errors import InputError
-from visctrl.hal.interfaces import Backend
+from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup
 from visctrl.hal.pioneer.base import PioneerBase
 from visctrl.hal.pioneer.handshake import BAUDS
 from visctrl.hal.pioneer.subclasses import ring_of
-from visctrl.hal.types import Pose
-from visctrl.robots import Limits, Robot
-from visctrl.robots.documents import StrictModel
-from visctrl.robots.model import Mount
+from visctrl.robots import Robot
 
 
-class PioneerOptions(StrictModel):
+class PioneerOptions(BackendOptions):
     """Where robot and camera are connected.
 
     port : device (``/dev/ttyUSB0``, ``COM3``) or URL (``socket://host:8101``) of the robot.
@@ -29,6 +26,8 @@ class PioneerOptions(StrictModel):
     camera : the camera's source and settings.
     """
 
+    flags: ClassVar[Mapping[str, str]] = {"--port": "port", "--camera-url": "camera.source"}
+
     port: str = "/dev/ttyUSB0"
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] | None = None
     sonar: bool = True
@@ -36,54 +35,35 @@ class PioneerOptions(StrictModel):
 
 
 class PioneerBackend(Backend):
-    """A Pioneer P3-DX or P3-AT, or its emulator.
+    """A Pioneer P3-DX or P3-AT, or its emulator; it stands where it stands, on the wall clock.
 
-    Parameters
-    ----------
-    robot, mount : Robot, Mount
-        Which robot, and where its camera sits.
-    camera, true_camera : CentralCamera
-        The calibration; both must be the same, for a real camera is what it is.
-    start, seed, realtime
-        Taken by all backends; here the robot stands where it stands, on the wall clock.
-    limits : Limits or None
-        Bounds of speed and acceleration; the robot's own operating limits if None.
-    options : PioneerOptions
-        Port and camera.
+    Raises
+    ------
+    InputError
+        The true camera is not the calibration: a real camera is what it is.
     """
 
     Options: ClassVar[type[PioneerOptions]] = PioneerOptions
 
-    def __init__(
-        self,
-        robot: Robot,
-        camera: CentralCamera,
-        true_camera: CentralCamera,
-        mount: Mount,
-        start: Pose,
-        limits: Limits | None,
-        options: PioneerOptions,
-        seed: int,
-        realtime: bool,
-    ) -> None:
-        del mount, start, seed, realtime
-        if true_camera != camera:
+    def __init__(self, setup: BackendSetup[PioneerOptions]) -> None:
+        super().__init__(setup)
+        if setup.true_camera != setup.camera:
             raise InputError(
                 "camera_error: only a simulated camera can differ from its calibration"
             )
-        self.robot = robot
+        options = setup.options
         self.clock = WallClock()
         bauds = BAUDS if options.baud is None else (options.baud,)
         self.base = PioneerBase(
-            options.port, robot.name, limits or robot.operating, self.clock, bauds,
-            sonar=options.sonar,
+            options.port, setup.robot.name, setup.limits or setup.robot.operating, self.clock,
+            bauds, sonar=options.sonar,
         )  # fmt: skip
-        self.camera = CaptureCamera(camera, options.camera, self.clock)
+        self.camera = CaptureCamera(setup.camera, options.camera, self.clock)
 
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
+    def measures_ranges(cls, robot: Robot, options: PioneerOptions) -> bool:
         """See `Backend.measures_ranges`: the sonar rings, unless they are switched off."""
-        return isinstance(options, PioneerOptions) and options.sonar and bool(ring_of(robot.name))
+        return options.sonar and bool(ring_of(robot.name))
 
     def open(self) -> None:
         """Open the camera, then the robot, so that nothing can move without being seen.
@@ -104,6 +84,7 @@ class PioneerBackend(Backend):
             self.camera.close()
 
     # Narrower than the interface: what this backend really has.
+    setup: BackendSetup[PioneerOptions]
     clock: WallClock
     base: PioneerBase
     camera: CaptureCamera

@@ -254,7 +254,7 @@ def test_whatever_ends_a_run_the_robot_is_left_in_order(
         (["--set", "camera.width=320"], 2, "taken by camera 'small'"),
         (["--robot", "p3at"], 2, "--robot p3dx"),
         (["--set", "target.file=null"], 2, "visctrl teach"),
-        (["--backend", "mock"], 2, "has no such device"),
+        (["--backend", "mock"], 2, "not an option of backend 'mock', but of: pioneer"),
     ],
 )
 def test_what_cannot_be_used(

@@ -29,7 +29,7 @@ PLUGINS = [
 @pytest.mark.parametrize(("registry", "name"), PLUGINS)
 def test_plugins_keep_their_contract(registry: Registry[Plugin[StrictModel]], name: str) -> None:
     cls = registry.load(name)
-    assert options_type(cls, name)(), "every option has a default"
+    assert options_type(cls, name, StrictModel)(), "every option has a default"
     assert list(inspect.signature(cls).parameters) == ["options", "context"]
     assert all(isinstance(signal, Signal) for signal in cls.signals)
     names = [signal.name for signal in cls.signals]
@@ -52,7 +52,7 @@ def test_providers_answer_whatever_the_estimate_and_the_sensors_say(name: str, n
     cls = REGISTRIES.obstacles.load(name)
     camera = load_camera("hypercatadioptric")
     context = Context(camera, None, 0.1, 0.1, 0, True, load_robot("p3dx").body)
-    provider = cls(options_type(cls, name)(), context)
+    provider = cls(options_type(cls, name, StrictModel)(), context)
     pose = Pose(0.4, -2.0, 0.3)
     readings = [Range(0.1, 0.2, 0.4, 1.0), Range(0.0, 0.2, 0.0, math.inf, 0.3), Range(0, 0, 0, 0)]
     for tick, ranges in enumerate(([], readings, readings, [])):

@@ -10,6 +10,7 @@ import numpy as np
 from visctrl.contracts import Context
 from visctrl.hal.actuation import ActuationOptions
 from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.mock.backend import MockBackend, MockOptions
 from visctrl.hal.types import STANDSTILL, Pose, Velocity
 from visctrl.perception.features import FeaturesOptions, IdentifiedFeatures
@@ -65,7 +66,7 @@ class Loop:
         pose = Pose(start[0], start[1], math.radians(start[2]))
         true = true_camera or self.camera
         self.backend = MockBackend(
-            robot, self.camera, true, robot.mount(mount), pose, limits, mock, seed, False
+            BackendSetup(robot, robot.mount(mount), self.camera, true, pose, limits, mock, seed)
         )
         offset = robot.mount(mount).forward_m
         self.context = Context(self.camera, limits, offset, PERIOD, seed, True)

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
 from visctrl.hal.errors import InputError, LinkError
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.mock.backend import MockBackend, MockOptions, Purpose
 from visctrl.hal.mock.scene import scatter, scatter_many, seen_from
 from visctrl.hal.types import Pose, Velocity
@@ -42,17 +43,17 @@ def opened() -> Any:
         seed: int = 0,
     ) -> MockBackend:
         model = load_camera(camera) if isinstance(camera, str) else camera
-        backend = MockBackend(
+        setup = BackendSetup(
             robot=ROBOT,
+            mount=ROBOT.mount(mount),
             camera=model,
             true_camera=true_camera or model,
-            mount=ROBOT.mount(mount),
             start=start,
             limits=limits,
             options=options,
             seed=seed,
-            realtime=False,
         )
+        backend = MockBackend(setup)
         backend.open()
         backends.append(backend)
         return backend

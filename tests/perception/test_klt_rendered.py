@@ -8,6 +8,7 @@ import pytest
 from visctrl.contracts import Context, Health, Views
 from visctrl.geometry.trifocal.tensor import tensor_from_poses
 from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Pose, Velocity
 from visctrl.perception.klt import Klt, KltOptions
 from visctrl.robots import load_robot
@@ -43,7 +44,7 @@ def transfer_errors(views: Views, initial: Pose, current: Pose) -> np.ndarray:
 def test_tracks_on_rendered_frames_keep_to_the_three_views(name):
     robot, camera = load_robot("p3dx"), load_camera(name)
     backend = SimBackend(
-        robot, camera, camera, robot.mount("centre"), START, None, SimOptions(), 1, False
+        BackendSetup(robot, robot.mount("centre"), camera, camera, START, None, SimOptions(), 1)
     )
     klt = Klt(KltOptions(), Context(camera, None, 0.0, 0.1, 0, True))
     with backend:

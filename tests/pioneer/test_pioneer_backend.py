@@ -10,6 +10,7 @@ from virtual_robot import Site
 
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.errors import CameraError, InputError, LinkError
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.pioneer.backend import PioneerBackend, PioneerOptions
 from visctrl.hal.types import Pose, Velocity
 from visctrl.robots import load_robot
@@ -27,7 +28,9 @@ def backend(
     robot = load_robot("p3dx")
     options = PioneerOptions.model_validate({"port": port, "camera": {"source": source}})
     return PioneerBackend(
-        robot, model, true or model, robot.mount("centre"), Pose(0, 0, 0), None, options, 0, False
+        BackendSetup(
+            robot, robot.mount("centre"), model, true or model, Pose(0, 0, 0), None, options
+        )
     )
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from visctrl.hal.cameras.central import load_camera
 from visctrl.hal.errors import CameraError, InputError, LinkError
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Frame, Pose, Velocity
 from visctrl.robots import Limits, load_robot
 from visctrl.sim.backend import SimBackend
@@ -34,7 +35,9 @@ def build(
 ) -> SimBackend:
     settings = SimOptions.model_validate({"scene": SMALL_ROOM, "show_floor": False, **options})
     return SimBackend(
-        P3DX, CAMERA, CAMERA, P3DX.mount(mount), start, limits, settings, seed, realtime
+        BackendSetup(
+            P3DX, P3DX.mount(mount), CAMERA, CAMERA, start, limits, settings, seed, realtime
+        )
     )
 
 
@@ -260,7 +263,7 @@ def test_closing_ends_everything_and_may_be_repeated() -> None:
 def test_a_true_camera_of_another_size_is_refused() -> None:
     camera = load_camera("paracatadioptric")
     backend = SimBackend(
-        P3DX, CAMERA, camera, P3DX.mount("centre"), START, None, SimOptions(), 0, False
+        BackendSetup(P3DX, P3DX.mount("centre"), CAMERA, camera, START, None, SimOptions())
     )
     with pytest.raises(CameraError, match="another size"):
         backend.open()

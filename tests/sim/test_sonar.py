@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.pioneer.subclasses import NO_ECHO_M, Subclass, find_subclass, ring_of
 from visctrl.hal.pioneer.telemetry import Echo, Telemetry
 from visctrl.hal.types import Pose
@@ -32,7 +33,7 @@ def test_ranges_are_those_of_the_plan_and_boxes_are_met() -> None:
         {"scene": SMALL_ROOM, "boxes": [{"x_m": 0.0, "y_m": 1.0}], "show_floor": False}
     )
     backend = SimBackend(
-        P3AT, CAMERA, CAMERA, P3AT.mount("centre"), start, P3AT.operating, options, 0, False
+        BackendSetup(P3AT, P3AT.mount("centre"), CAMERA, CAMERA, start, P3AT.operating, options)
     )
     with backend:
         found = backend.base.ranges()

@@ -87,10 +87,9 @@ def teach_command(
         backend=backend,
         robot=robot,
         camera=camera,
-        port=port,
-        camera_url=camera_url,
     )
-    _finish(lambda: teach(scenario, overrides, out, frames, preview))
+    flags = {"--port": port, "--camera-url": camera_url}
+    _finish(lambda: teach(scenario, overrides, flags, out, frames, preview))
 
 
 def emulate_command(

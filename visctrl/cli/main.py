@@ -197,15 +197,17 @@ def run_command(
         start=start,
         duration=duration,
         seed=seed,
-        noise_px=noise_px,
         tolerance=tolerance,
         realtime=realtime,
         target=target,
-        port=port,
-        camera_url=camera_url,
-        gui=gui,
         record_images=record_images,
     )
+    flags = {
+        "--port": port,
+        "--camera-url": camera_url,
+        "--noise-px": noise_px,
+        "--gui": gui or None,
+    }
     try:
         watching = Watching(
             web=web_address or "" if web or web_address is not None else None,
@@ -215,6 +217,7 @@ def run_command(
         code = run(
             scenario,
             overrides,
+            flags,
             out,
             video=video,
             as_json=as_json,

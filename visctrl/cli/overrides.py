@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from visctrl.runtime.config import Override, parse_setting
+from visctrl.robots.errors import InputError
+from visctrl.runtime.config import LoadedScenario, Override, load_scenario, parse_setting
+from visctrl.runtime.registry import REGISTRIES
 
 
 def flag_overrides(
@@ -18,13 +20,9 @@ def flag_overrides(
     start: tuple[float, float, float] | None = None,
     duration: float | None = None,
     seed: int | None = None,
-    noise_px: float | None = None,
     tolerance: tuple[float, float] | None = None,
     realtime: bool | None = None,
     target: str | None = None,
-    port: str | None = None,
-    camera_url: str | None = None,
-    gui: bool = False,
     record_images: bool = False,
 ) -> list[Override]:
     """Return the overrides that options ask for: ``--set`` first, the others win over it."""
@@ -40,14 +38,10 @@ def flag_overrides(
         ("--start", "start.phi_deg", phi),
         ("--duration", "duration_s", duration),
         ("--seed", "seed", seed),
-        ("--noise-px", "mock.noise_px", noise_px),
         ("--tolerance", "tolerance.position_m", position),
         ("--tolerance", "tolerance.heading_deg", heading),
         ("--realtime", "realtime", realtime),
         ("--target", "target.file", target),
-        ("--port", "pioneer.port", port),
-        ("--camera-url", "pioneer.camera.source", camera_url),
-        ("--gui", "sim.gui", True if gui else None),
         ("--record-images", "record_images", True if record_images else None),
     ]
     flags = [
@@ -56,3 +50,49 @@ def flag_overrides(
         if value is not None
     ]
     return [parse_setting(text) for text in settings or ()] + flags
+
+
+def load_for_backend(
+    scenario: str, overrides: Sequence[Override], flags: Mapping[str, Any]
+) -> LoadedScenario:
+    """Load a scenario, and give its backend the options that belong to it alone.
+
+    Parameters
+    ----------
+    scenario, overrides
+        As `visctrl.runtime.config.load_scenario` takes them.
+    flags : mapping
+        Option to value, such as ``{"--port": "/dev/ttyUSB0"}``; those that are None are left
+        out. Which key an option sets, the backend says (`BackendOptions.flags`).
+
+    Raises
+    ------
+    InputError
+        The scenario cannot be used, or the backend does not understand an option.
+    """
+    backends = REGISTRIES.backends.known()
+    loaded = load_scenario(scenario, overrides, backends)
+    given = {option: value for option, value in flags.items() if value is not None}
+    if not given:
+        return loaded
+    backend = loaded.scenario.backend
+    understood = REGISTRIES.backend_options(backend).flags
+    laid = []
+    for option, value in given.items():
+        if option not in understood:
+            others = ", ".join(_backends_with(option)) or "none here"
+            raise InputError(f"{option}: not an option of backend '{backend}', but of: {others}")
+        path = (backend, *understood[option].split("."))
+        laid.append(Override(path, value, f"{option} {value}"))
+    return load_scenario(scenario, [*overrides, *laid], backends)
+
+
+def _backends_with(option: str) -> Iterator[str]:
+    """Yield the names of the backends that understand an option."""
+    for name in REGISTRIES.backends.names():
+        try:
+            understood = REGISTRIES.backend_options(name).flags
+        except InputError:  # a backend that cannot be imported here
+            continue
+        if option in understood:
+            yield name

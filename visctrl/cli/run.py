@@ -13,12 +13,11 @@ from typing import Any
 
 from rich.console import Console
 
+from visctrl.cli.overrides import load_for_backend
 from visctrl.cli.progress import Progress
 from visctrl.cli.watching import Watching, watchers
-from visctrl.robots.errors import InputError
-from visctrl.runtime.config import Override, load_scenario
+from visctrl.runtime.config import Override
 from visctrl.runtime.plan import Plan, make_plan
-from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import Outcome, run_session
 
 RUNS = Path("runs")
@@ -28,6 +27,7 @@ NOBODY = Watching()
 def run(
     scenario: str,
     overrides: Sequence[Override],
+    flags: Mapping[str, Any],
     out: Path | None,
     *,
     video: bool,
@@ -37,15 +37,14 @@ def run(
 ) -> int:
     """Run a scenario and report; return the exit code.
 
+    ``flags`` are the options that belong to a backend (see `load_for_backend`).
+
     Raises
     ------
     InputError
         Something cannot be used; nothing has been started.
     """
-    backends = REGISTRIES.backends.known()
-    loaded = load_scenario(scenario, overrides, backends)
-    check_flags(overrides, loaded.scenario.backend)
-    plan = make_plan(loaded)
+    plan = make_plan(load_for_backend(scenario, overrides, flags))
     directory = out if out is not None else _fresh_directory(plan)
     console = Console(stderr=True)
     with (
@@ -85,21 +84,6 @@ def _stdout_as_stderr() -> Iterator[None]:
         sys.stdout.flush()
         os.dup2(kept, 1)
         os.close(kept)
-
-
-def check_flags(overrides: Sequence[Override], backend: str) -> None:
-    """Refuse options that the chosen backend would ignore."""
-    for override in overrides:
-        option = override.origin.split()[0]
-        if option == "--noise-px" and backend != "mock":
-            raise InputError(
-                f"--noise-px: backend '{backend}' finds its features in images; there use "
-                "--set sim.image_noise=LEVELS"
-            )
-        if option in ("--port", "--camera-url") and backend != "pioneer":
-            raise InputError(f"{option}: backend '{backend}' has no such device")
-        if option == "--gui" and backend != "sim":
-            raise InputError(f"--gui: backend '{backend}' has no window")
 
 
 def _fresh_directory(plan: Plan) -> Path:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from visctrl.cli.run import check_flags
+from visctrl.cli.overrides import load_for_backend
 from visctrl.hal.errors import CameraError
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Frame
 from visctrl.perception.quality import Quality, assess
 from visctrl.robots.errors import InputError
-from visctrl.runtime.config import Override, load_scenario
+from visctrl.runtime.config import Override
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import Plan, make_plan
-from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.target_view import TargetView, now_text
 from visctrl.viewers.video.frames import draw_frame, save_picture
 
@@ -43,9 +43,16 @@ _SPREAD = 0.6
 
 
 def teach(
-    scenario: str, overrides: Sequence[Override], out: Path, count: int, preview: Path | None
+    scenario: str,
+    overrides: Sequence[Override],
+    flags: Mapping[str, Any],
+    out: Path,
+    count: int,
+    preview: Path | None,
 ) -> int:
     """Take ``count`` pictures where the robot stands (a simulated one visits its target).
+
+    ``flags`` are the options that belong to a backend (see `load_for_backend`).
 
     Raises
     ------
@@ -53,8 +60,7 @@ def teach(
         A device or option cannot be used, or the view cannot serve as a target.
     """
     untaught = Override(("target", "file"), None, "visctrl teach")
-    loaded = load_scenario(scenario, [*overrides, untaught], REGISTRIES.backends.known())
-    check_flags(overrides, loaded.scenario.backend)
+    loaded = load_for_backend(scenario, [*overrides, untaught], flags)
     plan = make_plan(loaded)
     if plan.backend.delivers_features:
         raise InputError(f"backend '{loaded.scenario.backend}' takes no pictures")

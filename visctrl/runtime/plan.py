@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 from visctrl.contracts import Context, Controller, Estimator, ObstacleProvider, Perception
 from visctrl.hal.cameras.central import CentralCamera, load_camera
 from visctrl.hal.cameras.files import read_camera
-from visctrl.hal.interfaces import Backend
+from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup
 from visctrl.robots import Limits, Robot, load_robot
 from visctrl.robots.documents import StrictModel, validate
 from visctrl.robots.errors import InputError
@@ -75,7 +75,7 @@ class Plan:
 
     scenario: Scenario
     backend: type[Backend]
-    backend_options: StrictModel
+    backend_options: BackendOptions
     robot: Robot
     mount: Mount
     camera: CentralCamera
@@ -98,18 +98,18 @@ class Plan:
 
     def open_backend(self) -> Backend:
         """Return the backend, not opened yet."""
-        make: Callable[..., Backend] = self.backend
-        return make(
+        setup = BackendSetup(
             robot=self.robot,
+            mount=self.mount,
             camera=self.camera,
             true_camera=self.true_camera,
-            mount=self.mount,
             start=self.scenario.start.pose(),
             limits=self.limits,
             options=self.backend_options,
             seed=self.scenario.seed,
             realtime=self.scenario.realtime,
         )
+        return self.backend(setup)
 
     def context(self, lockstep: bool) -> Context:
         """Return what the plugins are told."""
@@ -159,7 +159,6 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
     true_camera = _at(loaded, ("camera_error",), lambda: _true(camera, scenario.camera_error))
     limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
     target = _at(loaded, ("target", "file"), lambda: _target(scenario.target.file, camera))
-    ideal = getattr(backend_options, "ideal", False)
     if scenario.record_images and backend.delivers_features:
         raise InputError(
             f"{loaded.origin_of('record_images')}: key 'record_images': backend "
@@ -177,7 +176,7 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         mount=mount,
         camera=camera,
         true_camera=true_camera,
-        limits=None if ideal else limits,
+        limits=backend.kept_limits(limits, backend_options),
         target=target,
         perception=perception,
         approach=approach,
@@ -302,11 +301,11 @@ def choose(
             f"'{default}'"
         )
     origin = f"{loaded.origin_of(*path)}: {'.'.join(path)}"
-    options = validate(choice.options, options_type(cls, registry.kind), origin)
+    options = validate(choice.options, options_type(cls, registry.kind, StrictModel), origin)
     return Chosen(registry.kind, name or default, cls, options)
 
 
-def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> StrictModel:
+def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> BackendOptions:
     """Check the sections of every backend, and return the options of the chosen one."""
     scenario = loaded.scenario
     checked = {}

@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from visctrl.contracts import Controller, Estimate, Estimator, ObstacleProvider, Perception
-from visctrl.hal.interfaces import Backend
+from visctrl.hal.interfaces import Backend, BackendOptions
 from visctrl.robots.documents import StrictModel, suggestion
 from visctrl.robots.errors import InputError
 
 T = TypeVar("T")
+Options = TypeVar("Options", bound=StrictModel)
 
 
 class Registry(Generic[T]):
@@ -111,13 +112,11 @@ class Registry(Generic[T]):
         return cast(type[T], found)
 
 
-def options_type(owner: type, where: str) -> type[StrictModel]:
+def options_type(owner: type, where: str, base: type[Options]) -> type[Options]:
     """Return the ``Options`` of a plugin or backend class; ``where`` opens the error message."""
     options = getattr(owner, "Options", None)
-    if not (isinstance(options, type) and issubclass(options, StrictModel)):
-        raise InputError(
-            f"{where} has no 'Options' derived from visctrl.robots.documents.StrictModel"
-        )
+    if not (isinstance(options, type) and issubclass(options, base)):
+        raise InputError(f"{where} has no 'Options' derived from {base.__module__}.{base.__name__}")
     return options
 
 
@@ -202,13 +201,13 @@ class Registries:
         )
     )
 
-    def backend_options(self, name: str) -> type[StrictModel]:
+    def backend_options(self, name: str) -> type[BackendOptions]:
         """Return the options of a backend, without importing what only a run needs."""
         target = _BACKEND_OPTIONS.get(name)
         if target is None or not _module_exists(target):
-            return options_type(self.backends.load(name), f"backend '{name}'")
+            return options_type(self.backends.load(name), f"backend '{name}'", BackendOptions)
         module_name, _, attribute = target.partition(":")
-        found: type[StrictModel] = getattr(importlib.import_module(module_name), attribute)
+        found: type[BackendOptions] = getattr(importlib.import_module(module_name), attribute)
         return found
 
 
