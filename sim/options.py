@@ -31,7 +31,8 @@ class Box(StrictModel):
 class SimOptions(BackendOptions):
     """Options of the simulated backend.
 
-    scene : name of a scene of this package, or the path of a scene file.
+    scene : name of a scene of this package, the path of a scene file, or ``random:7``, a scene
+        made from that seed (see `visctrl.sim.world.random_scene`).
     boxes : what stands there besides.
     renderer : ``tiny`` draws in software everywhere, with the same bits; ``gl`` casts rays in an
         OpenGL shader, several times as fast, and needs moderngl and a driver; ``egl`` is

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
+from visctrl.sim.render.reliefs import CHECK_M
 from visctrl.sim.render.renderer import Renderer
 from visctrl.sim.render.surfaces import Surface, surfaces
-from visctrl.sim.render.textures import CHECK_M
 from visctrl.sim.world.frames import heading_matrix
-from visctrl.sim.world.scene import Finish, Item, Paint, Room, Scene
+from visctrl.sim.world.scene import Finish, Ground, Item, Room, Scene
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def checker_room() -> Scene:
         for y in _BOARD_CENTRES_M
     ]
     extent = (-_HALF_M, _HALF_M)
-    plain = Paint(shade=0.5, contrast=0.0)
+    plain = Ground(shade=0.5, contrast=0.0)
     room = Room(
         x_m=extent, y_m=extent, height_m=_HEIGHT_M, tile_m=_BOARD_M, walls=board, floor=plain
     )

@@ -17,6 +17,7 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
 from visctrl.sim.render.surfaces import Surface, surfaces
 from visctrl.sim.render.textures import (
+    BASE_DENSITY,
     FINEST_SIGMA_M,
     LEVELS,
     NEAREST_TEXEL_FINENESS,
@@ -121,6 +122,8 @@ class DrawnScene:
         self._levels = np.full(len(self._bodies), -LEVELS)
         self._centres = np.array([s.side.corners.mean(axis=0) for s in self._surfaces])
         self._normals = np.array([s.side.normal for s in self._surfaces])
+        density = np.array([s.pattern.density for s in self._surfaces])
+        self._finest = FINEST_SIGMA_M * BASE_DENSITY / density
         if mipmapped:
             for i in range(len(self._bodies)):
                 self._show(i, 1)
@@ -209,7 +212,7 @@ class DrawnScene:
         facing = cosine > 0.0
         footprint = distance / self._pixels_per_radian(towards, phi)
         footprint = footprint / np.clip(cosine, 0.1, 1.0) ** OBLIQUENESS
-        level = np.log2(_SIGMA_PX * footprint / FINEST_SIGMA_M)
+        level = np.log2(_SIGMA_PX * footprint / self._finest)
         return np.clip(level, 0.0, LEVELS - 1.0), facing
 
     def _pixels_per_radian(self, towards: Array, phi: float) -> Array:

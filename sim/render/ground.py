@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
+from visctrl.sim.render.reliefs import PERIODS_M, relief
+from visctrl.sim.render.surfaces import lit_planes
 from visctrl.sim.render.textures import periodic_noise
 from visctrl.sim.render.view_atlas import FaceLayout, PixelOrigin
-from visctrl.sim.world.scene import Paint, Scene
+from visctrl.sim.world.scene import Ground, Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -47,7 +49,7 @@ class PlaneTexture:
     columns : where each begins in the sheet, in the coordinates of `cv2.remap`.
     """
 
-    def __init__(self, paint: Paint, seed: int, which: int) -> None:
+    def __init__(self, paint: Ground, seed: int, which: int) -> None:
         levels = list(islice(plane_levels(paint, seed, which), _LEVELS))
         self.sides = np.array([level.shape[0] for level in levels], np.float32)
         self.sheet, self.columns = _sheet(levels)
@@ -58,13 +60,20 @@ class PlaneTexture:
         return np.clip(np.rint(exact), 0, _LEVELS - 1).astype(np.intp)
 
 
-def plane_levels(paint: Paint, seed: int, which: int) -> Iterator[Single]:
+def plane_levels(paint: Ground, seed: int, which: int) -> Iterator[Single]:
     """Yield a periodic texture of side `PERIOD_M` in grey levels, each half as fine as the last.
 
     Each is blurred as its resolution needs; the first has 128 texels a metre.
     """
-    noise = periodic_noise(np.random.default_rng([seed, which]), _SIDE_TEXELS)
-    grey = np.clip(255.0 * (paint.shade + paint.contrast * np.tanh(noise)), 0.0, 255.0)
+    rng = np.random.default_rng([seed, which])
+    if paint.pattern == "noise":
+        height_map = periodic_noise(rng, _SIDE_TEXELS)
+    else:
+        # A whole number of the pattern's own periods, so that opposite edges fit.
+        period = PERIODS_M[paint.pattern]
+        density = _SIDE_TEXELS / (period * round(PERIOD_M / period))
+        height_map = relief(paint.pattern, rng, _SIDE_TEXELS, _SIDE_TEXELS, density)
+    grey = np.clip(255.0 * (paint.shade + paint.contrast * np.tanh(height_map)), 0.0, 255.0)
     level = _smooth(grey.astype(np.float32), _SIGMA_TEXELS)
     while True:
         yield level
@@ -75,7 +84,7 @@ def plane_levels(paint: Paint, seed: int, which: int) -> Iterator[Single]:
 
 
 @lru_cache(maxsize=8)
-def plane_texture(paint: Paint, seed: int, which: int) -> PlaneTexture:
+def plane_texture(paint: Ground, seed: int, which: int) -> PlaneTexture:
     """Return a texture, the same one for the same arguments: it takes a while to make."""
     return PlaneTexture(paint, seed, which)
 
@@ -158,16 +167,16 @@ class Backdrop:
         origin: PixelOrigin,
         textured: bool,
     ) -> None:
-        room = scene.room
+        floor_paint, ceiling_paint = lit_planes(scene)
         rays = [face.rays(origin) @ camera.rotation.T for face in layout.faces]
         self._plain = [
-            _two_shades(r, 255 * room.floor.shade, 255 * room.ceiling.shade) for r in rays
+            _two_shades(r, 255 * floor_paint.shade, 255 * ceiling_paint.shade) for r in rays
         ]
-        self._ceiling_m = room.height_m
+        self._ceiling_m = scene.room.height_m
         self._planes: list[_Plane] = []
         if textured:
-            floor = plane_texture(room.floor, scene.seed, 0)
-            ceiling = plane_texture(room.ceiling, scene.seed, 1)
+            floor = plane_texture(floor_paint, scene.seed, 0)
+            ceiling = plane_texture(ceiling_paint, scene.seed, 1)
             self._planes = [_Plane(floor, rays, -1), _Plane(ceiling, rays, 1)]
 
     def fill(self, index: int, picture: Image, empty: Mask, pose: Pose, height_m: float) -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.sim.render.textures import Pattern
-from visctrl.sim.world.scene import Finish, Item, Room, Scene
+from visctrl.sim.world.scene import Finish, Ground, Item, Paint, Scene
 
 Array = NDArray[np.float64]
+PaintT = TypeVar("PaintT", bound=Paint)
 
 #: Texture coordinates stay below 1, where TinyRenderer would wrap them to 0.
 _LAST = 1.0 - 1e-6
@@ -65,7 +67,7 @@ def surfaces(scene: Scene) -> tuple[Surface, ...]:
     """Return everything that is drawn, the floor and ceiling excepted."""
     drawn: list[Surface] = []
     for item in scene.items:
-        drawn += item_surfaces(item, scene.seed)
+        drawn += item_surfaces(item, scene)
     # What is in front comes first: a rasteriser need not shade what it hides.
     return (*drawn, *wall_surfaces(scene))
 
@@ -82,26 +84,39 @@ def wall_surfaces(scene: Scene) -> list[Surface]:
     }
     tiles = []
     for name, (start, end) in walls.items():
-        tiles += _tiles(f"{name} wall", np.array(start), np.array(end), room, scene.seed)
+        tiles += _tiles(f"{name} wall", np.array(start), np.array(end), scene)
     return tiles
 
 
-def _tiles(name: str, start: Array, end: Array, room: Room, seed: int) -> list[Surface]:
+def lit_planes(scene: Scene) -> tuple[Ground, Ground]:
+    """Return how floor and ceiling look in the scene's light."""
+    room, up = scene.room, np.array([0.0, 0.0, 1.0])
+    return (
+        _lit(room.floor, scene.light.gain(up, "floor")),
+        _lit(room.ceiling, scene.light.gain(-up, "ceiling")),
+    )
+
+
+def _tiles(name: str, start: Array, end: Array, scene: Scene) -> list[Surface]:
+    room = scene.room
     length = float(np.linalg.norm(end - start))
     count = max(1, round(length / room.tile_m))
     step = np.append((end - start) / count, 0.0)
     up = np.array([0.0, 0.0, room.height_m])
+    sides = [Rectangle(np.append(start, 0.0) + i * step, step, up) for i in range(count)]
+    walls = _lit(room.walls, scene.light.gain(sides[0].normal, name))
+    looks = [room.walls.look or f"{name} {i}" for i in range(count)]
     return [
         Surface(
             f"{name} {i}",
-            _pattern(room.walls, length / count, room.height_m, 0.0, f"{name} {i}", seed),
-            Rectangle(np.append(start, 0.0) + i * step, step, up),
+            _pattern(walls, length / count, room.height_m, 0.0, looks[i], scene.seed),
+            sides[i],
         )
         for i in range(count)
     ]
 
 
-def item_surfaces(item: Item, seed: int) -> list[Surface]:
+def item_surfaces(item: Item, scene: Scene) -> list[Surface]:
     """Return an item's four sides and its top, and its bottom if it hangs."""
     width, depth, height = item.size_m
     yaw = math.radians(item.yaw_deg)
@@ -120,23 +135,32 @@ def item_surfaces(item: Item, seed: int) -> list[Surface]:
     for side, right, inward, span, thick in around:
         corner = centre - right * span / 2 - inward * thick / 2
         rectangle = Rectangle(corner, right * span, z * height)
-        drawn.append(_item_side(item, side, span, height, rectangle, seed))
+        drawn.append(_item_side(item, side, span, height, rectangle, scene))
     flat = centre - x * width / 2 - y * depth / 2
     top = Rectangle(flat + z * height, x * width, y * depth)
-    drawn.append(_item_side(item, "top", width, depth, top, seed))
+    drawn.append(_item_side(item, "top", width, depth, top, scene))
     if item.bottom_m > 0:
         under = Rectangle(flat + y * depth, x * width, -y * depth)
-        drawn.append(_item_side(item, "bottom", width, depth, under, seed))
+        drawn.append(_item_side(item, "bottom", width, depth, under, scene))
     return drawn
 
 
 def _item_side(
-    item: Item, side: str, width: float, height: float, rectangle: Rectangle, seed: int
+    item: Item, side: str, width: float, height: float, rectangle: Rectangle, scene: Scene
 ) -> Surface:
-    name = f"{item.name} {side}"
+    look = f"{item.look or item.name} {side}"
     margin = min(item.margin_m, 0.2 * min(width, height))
-    lit = item.model_copy(update={"shade": item.shade * _SIDE_LIGHT[side]})
-    return Surface(name, _pattern(lit, width, height, margin, name, seed), rectangle, item.name)
+    shaded = item.model_copy(update={"shade": item.shade * _SIDE_LIGHT[side]})
+    lit = _lit(shaded, scene.light.gain(rectangle.normal, item.name))
+    pattern = _pattern(lit, width, height, margin, look, scene.seed)
+    return Surface(f"{item.name} {side}", pattern, rectangle, item.name)
+
+
+def _lit(paint: PaintT, gain: float) -> PaintT:
+    """Return a paint as it looks where light falls on it ``gain`` times as bright as usual."""
+    if gain == 1.0:
+        return paint
+    return paint.model_copy(update={"shade": gain * paint.shade, "contrast": gain * paint.contrast})
 
 
 def _pattern(
@@ -144,4 +168,6 @@ def _pattern(
 ) -> Pattern:
     # Too narrow for features: a texture would only flicker.
     kind = finish.pattern if min(width, height) > 0.1 else "plain"
-    return Pattern(width, height, kind, finish.shade, finish.contrast, margin, name, seed)
+    return Pattern(
+        width, height, kind, finish.shade, finish.contrast, margin, name, seed, 1.0 / finish.texel_m
+    )

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.sim.render.ground import PERIOD_M, plane_levels
-from visctrl.sim.render.surfaces import Rectangle, surfaces
-from visctrl.sim.render.textures import BASE_DENSITY, LEVELS, Levels, Pattern
-from visctrl.sim.world.scene import Paint, Scene
+from visctrl.sim.render.surfaces import Rectangle, lit_planes, surfaces
+from visctrl.sim.render.textures import LEVELS, Levels, Pattern
+from visctrl.sim.world.scene import Ground, Scene
 
 Image = NDArray[np.uint8]
 Single = NDArray[np.float32]
@@ -82,9 +82,9 @@ def shown(scene: Scene, planes: bool) -> Shown:
     pictures = [_patterned(surface.pattern) for surface in drawn]
     rectangles = [surface.side for surface in drawn]
     items = [surface.item for surface in drawn]
-    room = scene.room
+    floor, overhead = lit_planes(scene)
     for which, (paint, height, ceiling) in enumerate(
-        ((room.floor, 0.0, False), (room.ceiling, room.height_m, True))
+        ((floor, 0.0, False), (overhead, scene.room.height_m, True))
     ):
         cells = list(_plane_cells(scene, height, ceiling))
         picture = _plane(paint, scene.seed, which, ceiling) if planes else _plain(paint)
@@ -144,7 +144,7 @@ def _lay(picture: Picture, corner: tuple[int, int], sheets: list[Image]) -> None
 def _patterned(pattern: Pattern) -> Picture:
     filtered = Levels(pattern)
     width, height = (
-        _BLOCK * math.ceil(length * BASE_DENSITY / _BLOCK)
+        _BLOCK * math.ceil(length * pattern.density / _BLOCK)
         for length in (pattern.width_m, pattern.height_m)
     )
     if pattern.kind == "plain" and pattern.margin_m == 0.0:
@@ -159,13 +159,13 @@ def _patterned(pattern: Pattern) -> Picture:
 
 
 @lru_cache(maxsize=4)
-def _plane(paint: Paint, seed: int, which: int, ceiling: bool) -> Picture:
+def _plane(paint: Ground, seed: int, which: int, ceiling: bool) -> Picture:
     levels = [_grey(level) for level in islice(plane_levels(paint, seed, which), LEVELS)]
     # Rows run along y; the viewer above the floor has y upwards, the one below the ceiling not.
     return Picture(levels if ceiling else [level[::-1] for level in levels], periodic=True)
 
 
-def _plain(paint: Paint) -> Picture:
+def _plain(paint: Ground) -> Picture:
     shade = round(255 * paint.shade)
     return Picture([np.full((_BLOCK >> k,) * 2, shade, np.uint8) for k in range(LEVELS)], True)
 

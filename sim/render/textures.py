@@ -11,17 +11,17 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.sim.render.reliefs import Kind, relief
+
 Image = NDArray[np.uint8]
 Plane = NDArray[np.float32]
-Kind = Literal["blobs", "noise", "plain", "checker"]
 
-#: Resolution at which patterns are made (texels per metre).
+#: Resolution at which patterns are made (texels per metre), unless they say otherwise.
 BASE_DENSITY = 256.0
 #: Blur of level 1 (texels at the base density).
 _BASE_SIGMA = 1.4
@@ -36,13 +36,8 @@ OBLIQUENESS = 0.75
 #: Textures are not made larger than this (texels).
 _MOST_TEXELS = 2e6
 LEVELS = 6
-#: Side of the squares of the pattern ``checker`` (m).
-CHECK_M = 0.25
 
 _DARKEST, _BRIGHTEST = 8.0, 247.0
-_SMALLEST_BLOB_M = 0.04
-#: Area of the polygons of one size, as a rough share of the whole.
-_BLOB_COVER = 0.3
 
 
 @dataclass(frozen=True)
@@ -50,11 +45,11 @@ class Pattern:
     """What a surface looks like.
 
     width_m, height_m : size of the surface.
-    kind : ``blobs`` polygons over noise, ``noise`` alone, ``plain`` one shade, ``checker``
-        black and white squares (for measuring, not for driving: it repeats itself).
+    kind : see `visctrl.sim.render.reliefs.Kind`.
     shade, contrast : mean brightness and spread, as fractions of full scale.
     margin_m : width of a plain rim.
     name, seed : what the random content is made from.
+    density : texels per metre; less for what is only seen from far away.
     """
 
     width_m: float
@@ -65,25 +60,17 @@ class Pattern:
     margin_m: float
     name: str
     seed: int
+    density: float = BASE_DENSITY
 
     def base(self) -> Plane:
-        """Return the pattern at `BASE_DENSITY`, in grey levels."""
-        width = max(2, round(self.width_m * BASE_DENSITY))
-        height = max(2, round(self.height_m * BASE_DENSITY))
+        """Return the pattern at its density, in grey levels."""
+        width = max(2, round(self.width_m * self.density))
+        height = max(2, round(self.height_m * self.density))
         rng = np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
-        match self.kind:
-            case "blobs":
-                relief = _blobs(rng, width, height) + 0.3 * _fractal_noise(rng, width, height)
-            case "noise":
-                relief = _fractal_noise(rng, width, height)
-            case "checker":
-                relief = _checker(width, height)
-            case "plain":
-                relief = np.zeros((height, width), np.float32)
-        relief = np.tanh(relief)
+        height_map = np.tanh(relief(self.kind, rng, width, height, self.density))
         if self.margin_m > 0:
-            relief *= _rim(width, height, self.margin_m * BASE_DENSITY)
-        grey = 255.0 * (self.shade + self.contrast * relief)
+            height_map *= _rim(width, height, self.margin_m * self.density)
+        grey = 255.0 * (self.shade + self.contrast * height_map)
         return np.asarray(np.clip(grey, _DARKEST, _BRIGHTEST), dtype=np.float32)
 
 
@@ -140,44 +127,6 @@ def _fine(plane: Plane, scale: float) -> Image:
     """Return an image ``scale`` times as large, or as large as textures may be."""
     image = _resized(plane, min(scale, math.sqrt(_MOST_TEXELS / plane.size)))
     return np.asarray(np.clip(np.rint(image), 0, 255), dtype=np.uint8)
-
-
-def _fractal_noise(rng: np.random.Generator, width: int, height: int) -> Plane:
-    """Return noise with equal variance in every octave (amplitude 1/f), of unit variance."""
-    octaves = max(1, int(math.log2(max(width, height))) - 1)
-    side = 2**octaves
-    shape = (math.ceil(height / side) + 1, math.ceil(width / side) + 1)
-    noise = rng.standard_normal(shape, dtype=np.float32)
-    for _ in range(octaves):
-        noise = _resized(noise, 2.0)
-        noise += rng.standard_normal(noise.shape, dtype=np.float32)
-    noise = noise[:height, :width]
-    return np.asarray(noise / noise.std(), dtype=np.float32)
-
-
-def _blobs(rng: np.random.Generator, width: int, height: int) -> Plane:
-    """Return random polygons of all sizes, the large ones beneath, values about ±1."""
-    canvas = np.zeros((height, width), np.float32)
-    radius = 0.45 * min(width, height)
-    while radius > _SMALLEST_BLOB_M * BASE_DENSITY:
-        count = int(_BLOB_COVER * width * height / radius**2) + 1
-        corners = rng.integers(3, 7, count)
-        turns = np.sort(rng.uniform(0.0, 2.0 * np.pi, (count, 6)), axis=-1)
-        reach = radius * rng.uniform(0.5, 1.0, (count, 6))
-        centres = rng.uniform((0.0, 0.0), (width, height), (count, 2))
-        points = centres[:, None] + reach[..., None] * np.stack([np.cos(turns), np.sin(turns)], -1)
-        shades = rng.uniform(-1.4, 1.4, count).tolist()
-        whole = np.rint(points).astype(np.int32)
-        for polygon, corner, shade in zip(whole, corners, shades, strict=True):
-            cv2.fillConvexPoly(canvas, polygon[:corner], shade)
-        radius /= 2.0
-    return canvas
-
-
-def _checker(width: int, height: int) -> Plane:
-    across = np.floor((np.arange(width) + 0.5) / (CHECK_M * BASE_DENSITY)).astype(int)
-    down = np.floor((np.arange(height) + 0.5) / (CHECK_M * BASE_DENSITY)).astype(int)
-    return np.where((across[None, :] + down[:, None]) % 2 == 0, 3.0, -3.0).astype(np.float32)
 
 
 def _rim(width: int, height: int, margin: float) -> Plane:

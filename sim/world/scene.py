@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,12 @@ from pydantic import Field, model_validator
 from visctrl.hal.errors import InputError
 from visctrl.hal.types import Pose
 from visctrl.robots import Robot
-from visctrl.robots.documents import StrictModel, load
+from visctrl.robots.documents import StrictModel, load, validate
 from visctrl.robots.unicycle import step_exact
-from visctrl.sim.render.textures import Kind
-from visctrl.sim.world.scene_files import check_scene_name, scene_folder
+from visctrl.sim.render.reliefs import Kind
+from visctrl.sim.render.textures import BASE_DENSITY
+from visctrl.sim.world.light import Light
+from visctrl.sim.world.scene_files import RANDOM, check_scene_name, scene_folder
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
@@ -34,10 +36,22 @@ class Paint(StrictModel):
     contrast: Annotated[float, Field(ge=0, le=0.5)] = 0.35
 
 
+class Ground(Paint):
+    """How a floor or ceiling is painted."""
+
+    pattern: Literal["noise", "tiles", "boards", "checker"] = "noise"
+
+
 class Finish(Paint):
-    """How a surface is painted (see `visctrl.sim.render.textures.Pattern`)."""
+    """How a surface is painted (see `visctrl.sim.render.textures.Pattern`).
+
+    look : surfaces of one look show the same, those without one each their own.
+    texel_m : size of the smallest detail; coarse for what is only seen from far away.
+    """
 
     pattern: Kind = "blobs"
+    look: str = ""
+    texel_m: Annotated[float, Field(ge=1 / 512, le=0.5)] = 1 / BASE_DENSITY
 
 
 class Item(Finish):
@@ -64,14 +78,19 @@ class Room(StrictModel):
     height_m: Positive
     tile_m: Positive = 2.5
     walls: Finish = Finish()
-    floor: Paint = Paint(shade=0.36, contrast=0.12)
-    ceiling: Paint = Paint(shade=0.7, contrast=0.12)
+    floor: Ground = Ground(shade=0.36, contrast=0.12)
+    ceiling: Ground = Ground(shade=0.7, contrast=0.12)
 
     @model_validator(mode="after")
     def _ordered(self) -> Room:
         if not (self.x_m[0] < self.x_m[1] and self.y_m[0] < self.y_m[1]):
             raise ValueError("x_m and y_m are [low, high] with low < high")
         return self
+
+
+class _Row(StrictModel):
+    count: Annotated[int, Field(ge=1, le=200)]
+    step_m: tuple[float, float]
 
 
 class Arena(StrictModel):
@@ -82,7 +101,10 @@ class Arena(StrictModel):
 
 
 class Scene(StrictModel):
-    """A room and what stands in it. ``seed`` makes all its textures."""
+    """A room and what stands in it. ``seed`` makes all its textures.
+
+    An item with ``count: n`` and ``step_m: [dx, dy]`` is written out as n equal ones in a row.
+    """
 
     name: str
     title: str = ""
@@ -90,6 +112,14 @@ class Scene(StrictModel):
     room: Room
     items: tuple[Item, ...] = ()
     arena: Arena = Arena()
+    light: Light = Light()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rows(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not isinstance(data.get("items"), list | tuple):
+            return data
+        return {**data, "items": [one for item in data["items"] for one in _row(item)]}
 
     @model_validator(mode="after")
     def _names_differ(self) -> Scene:
@@ -135,6 +165,20 @@ class Scene(StrictModel):
                 )
 
 
+def _row(item: Any) -> list[Any]:
+    """Return what an item with a ``count`` stands for: equal items, numbered from 1."""
+    if not isinstance(item, dict) or "count" not in item:
+        return [item]
+    row = validate({key: item.get(key) for key in ("count", "step_m")}, _Row, "a row of items")
+    rest = {key: value for key, value in item.items() if key not in ("count", "step_m")}
+    name, (x, y) = rest.get("name"), rest.get("at_m", (0.0, 0.0))
+    (dx, dy), look = row.step_m, rest.get("look", name)
+    return [
+        {**rest, "name": f"{name} {k + 1}", "look": look, "at_m": (x + k * dx, y + k * dy)}
+        for k in range(row.count)
+    ]
+
+
 def robot_outline(camera: Pose, camera_forward_m: float, robot: Robot) -> Array:
     """Return the corners (4, 2) of the robot's outline for a camera pose (m)."""
     body = robot.body
@@ -168,7 +212,7 @@ def overlap(a: Array, b: Array) -> bool:
 
 
 def load_scene(name: str) -> Scene:
-    """Return a scene by name, or from a file if ``name`` is a path that ends in ``.yaml``.
+    """Return a scene by name, from a file (``….yaml``), or made from a seed (``random:7``).
 
     Raises
     ------
@@ -176,6 +220,10 @@ def load_scene(name: str) -> Scene:
         No such scene (see `check_scene_name`), or its file is wrong.
     """
     check_scene_name(name)
+    if name.startswith(RANDOM):
+        from visctrl.sim.world.random_scene import random_scene
+
+        return random_scene(int(name.removeprefix(RANDOM)))
     if name.endswith((".yaml", ".yml")):
         return load(Path(name), Scene)
     return load(scene_folder() / f"{name}.yaml", Scene)

@@ -16,6 +16,10 @@ def scene_folder() -> Traversable:
     return resources.files("visctrl.sim") / "scenes"
 
 
+#: What the name of a scene that is made from a seed begins with.
+RANDOM = "random:"
+
+
 @cache
 def scene_names() -> tuple[str, ...]:
     """Return the names of the scenes that this package holds."""
@@ -29,8 +33,13 @@ def check_scene_name(name: str) -> str:
     Raises
     ------
     InputError
-        No such scene (the message lists those there are), or no such file.
+        No such scene (the message lists those there are), no such file, or no seed after
+        ``random:``.
     """
+    if name.startswith(RANDOM):
+        if not name.removeprefix(RANDOM).isdecimal():
+            raise InputError(f"scene '{name}': expected a whole number, as in {RANDOM}7")
+        return name
     if name.endswith((".yaml", ".yml")):
         if not Path(name).is_file():
             raise InputError(f"{name}: no such file")

@@ -11,7 +11,7 @@ from visctrl.sim.render.accuracy import checker_room, measure_corners
 from visctrl.sim.render.renderer import Renderer
 from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem, open_renderer
 from visctrl.sim.world.frames import heading_matrix
-from visctrl.sim.world.scene import Item, Paint, Room, Scene
+from visctrl.sim.world.scene import Ground, Item, Room, Scene
 
 pytestmark = pytest.mark.sim
 
@@ -122,8 +122,8 @@ def test_floor_and_ceiling_move_as_planes_do(drawer: DrawerName, up: bool) -> No
     """Points of the plane look alike from two poses, and unlike if the plane is misplaced."""
     room = SCENE.room.model_copy(
         update={
-            "floor": Paint(shade=0.5, contrast=0.3),
-            "ceiling": Paint(shade=0.5, contrast=0.3),
+            "floor": Ground(shade=0.5, contrast=0.3),
+            "ceiling": Ground(shade=0.5, contrast=0.3),
         }
     )
     scene = SCENE.model_copy(update={"room": room, "items": ()})

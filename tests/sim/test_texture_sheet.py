@@ -8,13 +8,13 @@ from visctrl.sim.render.ground import PERIOD_M, plane_levels
 from visctrl.sim.render.surfaces import surfaces
 from visctrl.sim.render.texture_sheet import Picture, TextureSheet, pack, shown
 from visctrl.sim.render.textures import BASE_DENSITY, LEVELS, Levels
-from visctrl.sim.world.scene import Item, Paint, Room, Scene
+from visctrl.sim.world.scene import Ground, Item, Room, Scene
 
 BLOCK = 2 ** (LEVELS - 1)
 SCENE = Scene(
     name="small",
     seed=3,
-    room=Room(x_m=(-3, 3), y_m=(-3, 17), height_m=2.5, floor=Paint(shade=0.4, contrast=0.2)),
+    room=Room(x_m=(-3, 3), y_m=(-3, 17), height_m=2.5, floor=Ground(shade=0.4, contrast=0.2)),
     items=(Item(name="box", at_m=(0.0, 1.8), size_m=(0.6, 0.4, 1.0)),),
 )
 
