@@ -1,17 +1,29 @@
-"""What is known of a robot: the typed content of its ``robot.yaml``."""
+"""What is known of a robot: the typed content of its ``robot.yaml``.
+
+A robot is a folder with a ``robot.yaml`` and, for physics, a ``robot.urdf`` beside it. It is
+found by name, among those of this package and those that installed packages announce, or by path.
+"""
 
 from __future__ import annotations
 
 import math
 from functools import cache
-from importlib import resources
+from importlib import import_module, resources
+from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
+from visctrl.robots.arcos import Arcos
 from visctrl.robots.documents import StrictModel, load, suggestion
 from visctrl.robots.errors import InputError
+from visctrl.robots.sonar import SonarRing
+
+#: Entry points that name a package with a ``robot.yaml`` in it.
+GROUP = "visctrl.robots"
+_FILE = "robot.yaml"
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -85,7 +97,11 @@ class Mount(StrictModel):
 
 
 class Robot(StrictModel):
-    """A robot: geometry, limits and mounts, read from its folder's ``robot.yaml``."""
+    """A robot: geometry, limits and mounts, read from its folder's ``robot.yaml``.
+
+    sonar : its ring of sonar transducers; None without. arcos : for the serial protocol of the
+    Pioneers; None for a robot that does not speak it.
+    """
 
     name: str
     title: str
@@ -95,6 +111,10 @@ class Robot(StrictModel):
     operating: Limits
     hardware: Limits
     mounts: dict[str, Mount]
+    sonar: SonarRing | None = None
+    arcos: Arcos | None = None
+
+    _folder: Traversable | None = PrivateAttr(default=None)
 
     def mount(self, name: str) -> Mount:
         """Return a camera mount by name.
@@ -111,26 +131,86 @@ class Robot(StrictModel):
         return self.mounts[name]
 
     def urdf(self) -> Traversable:
-        """Return the robot's URDF file (package data)."""
-        return resources.files("visctrl.robots") / self.name / "robot.urdf"
+        """Return the robot's URDF file.
+
+        Raises
+        ------
+        InputError
+            There is none beside its ``robot.yaml``.
+        """
+        urdf = None if self._folder is None else self._folder / "robot.urdf"
+        if urdf is None or not urdf.is_file():
+            raise InputError(
+                f"robot '{self.name}': there is no robot.urdf beside its robot.yaml, and only "
+                "simulated physics needs one: use another backend, or write it"
+            )
+        return urdf
 
 
 @cache
 def robot_names() -> tuple[str, ...]:
-    """Return the names of the robots that this package holds."""
-    folders = resources.files("visctrl.robots").iterdir()
-    return tuple(sorted(f.name for f in folders if f.is_dir() and (f / "robot.yaml").is_file()))
+    """Return the names of the robots of this package and of packages that announce some."""
+    return tuple(sorted({*_own(), *_announced()}))
 
 
-@cache
 def load_robot(name: str) -> Robot:
-    """Return a robot by its folder's name.
+    """Return a robot by name, or by the path of its ``robot.yaml`` or of the folder around it.
 
     Raises
     ------
     InputError
-        No such robot; the message lists those there are.
+        No such robot (the message lists those there are), or its file cannot be used.
     """
-    if name not in robot_names():
-        raise InputError(f"unknown robot '{name}'; {suggestion(name, robot_names())}")
-    return load(resources.files("visctrl.robots") / name / "robot.yaml", Robot)
+    return _read(*_place(name))
+
+
+def is_path(name: str) -> bool:
+    """Return whether a robot is named by a path: one with a slash, or a YAML file's name."""
+    return name.endswith((".yaml", ".yml")) or "/" in name or "\\" in name
+
+
+def _place(name: str) -> tuple[str, Path | None]:
+    """Return a key for the cache, and the file behind it where it is one of the user's."""
+    if not is_path(name):
+        return name, None
+    path = Path(name)
+    path = path / _FILE if path.is_dir() else path
+    return str(path.resolve()), path
+
+
+@cache
+def _read(name: str, path: Path | None) -> Robot:
+    if path is not None:
+        robot = load(path, Robot)
+        robot._folder = path.resolve().parent
+        return robot
+    if name in _own():
+        folder = _own()[name]
+    elif name in _announced():
+        folder = _package_folder(name, _announced()[name])
+    else:
+        raise InputError(
+            f"unknown robot '{name}'; {suggestion(name, robot_names())}; a robot of your own is "
+            "named by the path of its robot.yaml, as in ./my_robot"
+        )
+    robot = load(folder / _FILE, Robot)
+    robot._folder = folder
+    return robot
+
+
+@cache
+def _own() -> dict[str, Traversable]:
+    folders = resources.files("visctrl.robots").iterdir()
+    return {f.name: f for f in folders if f.is_dir() and (f / _FILE).is_file()}
+
+
+@cache
+def _announced() -> dict[str, str]:
+    return {point.name: point.value for point in entry_points(group=GROUP)}
+
+
+def _package_folder(name: str, package: str) -> Traversable:
+    try:
+        return resources.files(import_module(package))
+    except (ImportError, TypeError) as error:
+        raise InputError(f"robot '{name}': package {package} cannot be read: {error}") from error

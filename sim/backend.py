@@ -12,7 +12,6 @@ from visctrl.hal.clock import WallClock, WorldClock
 from visctrl.hal.errors import CameraError, LinkError
 from visctrl.hal.faults import FaultyCapture, check_link
 from visctrl.hal.interfaces import Backend, BackendSetup, Base, Camera
-from visctrl.hal.pioneer.subclasses import ring_of
 from visctrl.hal.types import Frame, Odometry, Pose, Range, Velocity
 from visctrl.robots import Robot
 from visctrl.sim.options import SimOptions
@@ -93,7 +92,7 @@ class SimBackend(Backend):
     def measures_ranges(cls, robot: Robot, options: SimOptions) -> bool:
         """See `Backend.measures_ranges`: rays stand for the sonar rings that the robot has."""
         del options
-        return bool(ring_of(robot.name))
+        return robot.sonar is not None
 
     def open(self) -> None:
         """Build the world and put the robot at its start.

@@ -79,6 +79,12 @@ def test_rooms_leave_to_others_what_is_theirs(room: str, package: str) -> None:
         assert package not in imports_of(path), f"{path.relative_to(ROOT)} imports {package}"
 
 
+def test_the_simulation_knows_no_driver() -> None:
+    for path in sources("sim"):
+        text = path.read_text(encoding="utf-8")
+        assert "visctrl.hal.pioneer" not in text, f"{path.relative_to(ROOT)} names the driver"
+
+
 def test_only_the_runtime_looks_at_the_wall_clock() -> None:
     for folder in ("geometry", "perception", "schemes", "planning"):
         for path in sources(f"visctrl/{folder}"):

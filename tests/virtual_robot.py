@@ -5,12 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
 from types import ModuleType
 
 import cv2
 import numpy as np
 import pytest
 import serial
+import yaml
 from numpy.typing import NDArray
 from virtual_time import VirtualTime
 
@@ -22,7 +25,7 @@ import visctrl.hal.pioneer.link
 import visctrl.runtime.watchdog
 from visctrl.hal.emulator.emulator import Emulator
 from visctrl.hal.emulator.firmware import Firmware
-from visctrl.hal.emulator.firmware_profile import ARCOS, Personality, character
+from visctrl.hal.emulator.firmware_profile import ARCOS, Personality, emulated, profile
 from visctrl.hal.emulator.ports import Port
 from visctrl.hal.emulator.world import World
 from visctrl.hal.types import Velocity
@@ -233,7 +236,7 @@ class Site:
     ) -> Emulator:
         """Switch a robot on; its port is in ``url``."""
         line = self.ports.lines[url] = Line(self.world, url)
-        firmware = Firmware(character(subclass, personality), world=surroundings)
+        firmware = Firmware(profile(emulated(subclass), personality), world=surroundings)
         emulator = Emulator(firmware, line.port(), seed=seed)
         emulator.__enter__()
         self.robots.append(emulator)
@@ -267,3 +270,14 @@ def make_site(monkeypatch: pytest.MonkeyPatch, world: VirtualTime) -> Site:
     monkeypatch.setattr(serial, "serial_for_url", site.ports.serial_for_url)
     monkeypatch.setattr(cv2, "VideoCapture", site.film.capture)
     return site
+
+
+def renamed_robot(folder: Path, subclass: str) -> Path:
+    """Write the file of a P3-DX whose controller calls itself otherwise; return its path."""
+    source = resources.files("visctrl.robots") / "p3dx" / "robot.yaml"
+    data = yaml.safe_load(source.read_text(encoding="utf-8"))
+    data["name"] = f"{subclass}-robot"
+    data["arcos"]["subclasses"] = {subclass: {"distance_mm": 1.0}}
+    path = folder / "robot.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path

@@ -16,7 +16,6 @@ from visctrl.hal.emulator.world import OpenSpace, World
 from visctrl.hal.pioneer.commands import Command, Id, decode_command, vel2_wheels
 from visctrl.hal.pioneer.packet import Packet
 from visctrl.hal.pioneer.reports import Type
-from visctrl.hal.pioneer.subclasses import VEL2_STEP
 from visctrl.hal.types import STANDSTILL, Pose, Velocity
 
 #: Step of the motion (s).
@@ -229,10 +228,10 @@ class Firmware:
             case Id.RVEL | Id.ROTATE:
                 self.drive.set_turn(math.radians(number))
             case Id.VEL2:
-                left, right = (VEL2_STEP * wheel for wheel in vel2_wheels(number))
+                arcos = self.character.subclass.arcos
+                left, right = (arcos.vel2_step_mm_s * wheel for wheel in vel2_wheels(number))
                 self.drive.set_speed((left + right) / 2e3)
-                factor = self.character.subclass.turn_per_difference
-                self.drive.set_turn((right - left) / 2.0 * factor)
+                self.drive.set_turn((right - left) / 2.0 * arcos.turn_per_difference)
             case Id.MOVE:
                 self.drive.move(number / 1e3)
             case Id.HEAD:

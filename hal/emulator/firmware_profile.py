@@ -6,7 +6,11 @@ from dataclasses import dataclass, replace
 
 from visctrl.hal.pioneer.config import UNLIMITED, Config
 from visctrl.hal.pioneer.reports import Identity
-from visctrl.hal.pioneer.subclasses import SUBCLASSES, Subclass
+from visctrl.hal.pioneer.subclasses import Subclass, known_subclasses, subclasses_of
+from visctrl.robots import load_robot, robot_names
+from visctrl.robots.documents import suggestion
+from visctrl.robots.errors import InputError
+from visctrl.robots.model import is_path
 
 
 @dataclass(frozen=True)
@@ -37,9 +41,6 @@ ARCOS = Personality("arcos", False, True, 1, True, 8, False, True)
 SIMULATOR = Personality("simulator", True, False, 11, False, 16, True, False)
 PERSONALITIES = {personality.name: personality for personality in (ARCOS, SIMULATOR)}
 
-#: Robots that can be emulated, by subclass.
-EMULATED = ("p3dx-sh", "p3at-sh", "p3dx", "p3at")
-
 
 @dataclass(frozen=True)
 class FirmwareProfile:
@@ -51,46 +52,66 @@ class FirmwareProfile:
     config: Config
 
 
-def character(subclass: str, personality: Personality = ARCOS) -> FirmwareProfile:
-    """Return one of the robots in `EMULATED` with the given habits."""
-    factors = SUBCLASSES[subclass]
-    identity = Identity("Emulated", "Pioneer", subclass)
-    config = _config(factors)
+def emulated(name: str) -> Subclass:
+    """Return a controller to emulate: a subclass, or the first one of a robot, by name or path.
+
+    Raises
+    ------
+    InputError
+        There is no such robot, or it speaks no ARCOS.
+    """
+    if name.lower() in known_subclasses():
+        return known_subclasses()[name.lower()]
+    if name not in robot_names() and not is_path(name):
+        names = {*known_subclasses(), *robot_names()}
+        raise InputError(f"unknown robot '{name}'; {suggestion(name, names)}")
+    robot = load_robot(name)
+    found = next(iter(subclasses_of(robot).values()), None)
+    if found is None:
+        raise InputError(f"robot '{robot.name}' speaks no ARCOS: its file has no section 'arcos'")
+    return found
+
+
+def profile(subclass: Subclass, personality: Personality = ARCOS) -> FirmwareProfile:
+    """Return a robot to emulate, with the given habits."""
+    identity = Identity("Emulated", "Pioneer", subclass.name)
+    config = _config(subclass)
     if not personality.full_config:
         config = _without_numbers(config)
-    return FirmwareProfile(factors, personality, identity, config)
+    return FirmwareProfile(subclass, personality, identity, config)
 
 
-def _config(factors: Subclass) -> Config:
+def _config(subclass: Subclass) -> Config:
     """Return the parameters of a robot as it was delivered, as far as they are known."""
-    is_dx = factors.robot == "p3dx"
+    flash, skids = subclass.arcos.flash, subclass.robot.drive == "skid-steer"
+    sonars = 0 if subclass.sonar is None else len(subclass.sonar.transducers)
     return Config(
         robot_type="Pioneer",
-        subclass=factors.name,
+        subclass=subclass.name,
         serial_number="EMU001",
-        four_motors=0 if is_dx else 1,
-        turn_top=500 if is_dx else 300,
-        speed_top=2200 if is_dx else 1200,
-        turn_acceleration_top=600,
-        acceleration_top=4000,
+        four_motors=int(skids),
+        turn_top=flash.turn_top,
+        speed_top=flash.speed_top,
+        turn_acceleration_top=flash.turn_acceleration_top,
+        acceleration_top=flash.acceleration_top,
         pwm_max=500,
         name="emulated",
         report_cycle=100,
         host_baud=0,
         aux1_baud=0,
         gripper=0,
-        front_sonar=1,
-        rear_sonar=1,
+        front_sonar=int(sonars > 0),
+        rear_sonar=int(sonars > 8),
         low_battery=110,
-        rev_count=16570 if is_dx else 32550,
+        rev_count=flash.rev_count,
         watchdog=2000,
         p2_packets=0,
         stall_value=200,
         stall_count=300,
         joystick_speed=800,
         joystick_turn=40,
-        turn_max=300 if is_dx else 150,
-        speed_max=1200 if is_dx else 700,
+        turn_max=flash.turn_max,
+        speed_max=flash.speed_max,
         turn_acceleration=100,
         turn_deceleration=100,
         turn_kp=40,
@@ -101,8 +122,8 @@ def _config(factors: Subclass) -> Config:
         speed_kp=40,
         speed_kv=30,
         speed_ki=0,
-        front_bumpers=5,
-        rear_bumpers=5,
+        front_bumpers=flash.front_bumpers,
+        rear_bumpers=flash.rear_bumpers,
         charger=0,
         sonar_cycle=40,
         auto_baud=0,
@@ -110,7 +131,7 @@ def _config(factors: Subclass) -> Config:
         drift_factor=0,
         aux2_baud=0,
         aux3_baud=0,
-        ticks_per_mm=132 if is_dx else 138,
+        ticks_per_mm=flash.ticks_per_mm,
         shutdown_volts=105,
         firmware="2.9",
         gyro_cw=0,

@@ -126,13 +126,13 @@ class Reporter:
 
     def _wheels(self, drive: Drive) -> tuple[int, int]:
         """Return the wheels' speeds (mm/s)."""
-        half = drive.velocity.omega / self._character.subclass.turn_per_difference
+        half = drive.velocity.omega / self._character.subclass.arcos.turn_per_difference
         v = drive.velocity.v * 1e3
         return round(v - half), round(v + half)
 
     def _counters(self, pose: Pose) -> tuple[int, int, int]:
         forward, left, heading = to_rep103(pose).tolist()
-        unit = self._character.subclass.distance_mm / 1e3
+        unit = self._character.subclass.units.distance_mm / 1e3
         step = self._character.personality.heading_step
         theta = round(heading / HEADING_RAD / step) * step
         x, y = round(forward / unit) & 0xFFFF, round(left / unit) & 0xFFFF
@@ -141,20 +141,23 @@ class Reporter:
     def _encoders(self, drive: Drive) -> Encoders:
         per_mm = self._character.config.ticks_per_mm or 0
         forward, turned = drive.run
-        half = turned / self._character.subclass.turn_per_difference
+        half = turned / self._character.subclass.arcos.turn_per_difference
         ticks = (round((forward * 1e3 + side * half) * per_mm) for side in (-1, 1))
         return Encoders(*(_signed(count, 1 << 32) for count in ticks))
 
     def _readings(self, pose: Pose) -> tuple[Reading, ...]:
         """Return the next readings: the transducers fire one after the other."""
         ring = self._character.subclass.sonar
-        count = self._character.personality.sonar_per_report
-        numbers = [(self._next_transducer + k) % len(ring) for k in range(count)]
-        self._next_transducer = (numbers[-1] + 1) % len(ring)
-        unit = self._character.subclass.range_mm / 1e3
+        if ring is None:
+            return ()
+        places = sorted(ring.transducers.items())
+        count = min(self._character.personality.sonar_per_report, len(places))
+        chosen = [(self._next_transducer + k) % len(places) for k in range(count)]
+        self._next_transducer = (chosen[-1] + 1) % len(places)
+        unit = self._character.subclass.units.range_mm / 1e3
         return tuple(
-            Reading(number, round(self._world.sonar(pose, ring[number]) / unit))
-            for number in numbers
+            Reading(number, round(min(self._world.sonar(pose, at), ring.range_m) / unit))
+            for number, at in (places[k] for k in chosen)
         )
 
 

@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from visctrl.hal.pioneer.subclasses import NO_ECHO_M, SonarPose
 from visctrl.hal.types import Pose
+from visctrl.robots.sonar import Transducer
 
 
 class World(Protocol):
     """Surroundings of the emulated robot, in the frame of its poses."""
 
-    def sonar(self, axle: Pose, transducer: SonarPose) -> float:
-        """Return the range (m) that a transducer measures; at most `NO_ECHO_M`."""
+    def sonar(self, axle: Pose, transducer: Transducer) -> float:
+        """Return how far (m) the nearest thing in a transducer's cone is; infinite for none."""
 
     def blocked(self, axle: Pose) -> bool:
         """Return whether the robot would touch something at this pose."""
@@ -23,10 +23,10 @@ class World(Protocol):
 class OpenSpace:
     """Nothing anywhere."""
 
-    def sonar(self, axle: Pose, transducer: SonarPose) -> float:
-        """Return "no echo"."""
+    def sonar(self, axle: Pose, transducer: Transducer) -> float:
+        """Return infinity."""
         del axle, transducer
-        return NO_ECHO_M
+        return math.inf
 
     def blocked(self, axle: Pose) -> bool:
         """Return False."""
@@ -44,7 +44,7 @@ class Room:
     y_max: float
     radius: float = 0.3
 
-    def sonar(self, axle: Pose, transducer: SonarPose) -> float:
+    def sonar(self, axle: Pose, transducer: Transducer) -> float:
         """Return the distance along the transducer's axis to the nearest wall."""
         c, s = math.cos(axle.phi), math.sin(axle.phi)
         x = axle.x - transducer.left_m * c - transducer.forward_m * s
@@ -54,7 +54,7 @@ class Room:
             _ahead(x, -math.sin(phi), self.x_min, self.x_max),
             _ahead(y, math.cos(phi), self.y_min, self.y_max),
         )
-        return max(0.0, min(*along, NO_ECHO_M))
+        return max(0.0, min(along))
 
     def blocked(self, axle: Pose) -> bool:
         """Return whether the disc touches a wall."""

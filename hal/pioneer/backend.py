@@ -13,7 +13,6 @@ from visctrl.hal.errors import InputError
 from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup
 from visctrl.hal.pioneer.base import PioneerBase
 from visctrl.hal.pioneer.handshake import BAUDS
-from visctrl.hal.pioneer.subclasses import ring_of
 from visctrl.robots import Robot
 
 
@@ -55,7 +54,7 @@ class PioneerBackend(Backend):
         self.clock = WallClock()
         bauds = BAUDS if options.baud is None else (options.baud,)
         self.base = PioneerBase(
-            options.port, setup.robot.name, setup.limits or setup.robot.operating, self.clock,
+            options.port, setup.robot, setup.limits or setup.robot.operating, self.clock,
             bauds, sonar=options.sonar,
         )  # fmt: skip
         self.camera = CaptureCamera(setup.camera, options.camera, self.clock)
@@ -63,7 +62,7 @@ class PioneerBackend(Backend):
     @classmethod
     def measures_ranges(cls, robot: Robot, options: PioneerOptions) -> bool:
         """See `Backend.measures_ranges`: the sonar rings, unless they are switched off."""
-        return options.sonar and bool(ring_of(robot.name))
+        return options.sonar and robot.sonar is not None
 
     def open(self) -> None:
         """Open the camera, then the robot, so that nothing can move without being seen.

@@ -30,10 +30,10 @@ from visctrl.hal.pioneer.reports import (
     is_standard_report,
 )
 from visctrl.hal.pioneer.settings import REST, settings
-from visctrl.hal.pioneer.subclasses import find_subclass
+from visctrl.hal.pioneer.subclasses import expected_subclass, find_subclass, subclasses_of
 from visctrl.hal.pioneer.telemetry import Telemetry
 from visctrl.hal.types import STANDSTILL, BaseStatus, Odometry, Range, Velocity
-from visctrl.robots import Limits
+from visctrl.robots import Limits, Robot
 
 #: Without a report for so long, the robot is stopped: three reports in a row are missing.
 BLIND_S = 0.35
@@ -65,8 +65,8 @@ class PioneerBase(Base):
     ----------
     url : str
         Port (see `Link`).
-    robot : str
-        The robot that is expected at its other end, by the name of its description.
+    robot : Robot
+        The robot that is expected at its other end.
     limits : Limits
         Bounds of what `command` sends; also given to the firmware.
     clock : Clock
@@ -80,7 +80,7 @@ class PioneerBase(Base):
     def __init__(
         self,
         url: str,
-        robot: str,
+        robot: Robot,
         limits: Limits,
         clock: Clock,
         bauds: Sequence[int] = BAUDS,
@@ -218,16 +218,18 @@ class PioneerBase(Base):
 
     # --- connecting --------------------------------------------------------------------------
 
-    def _meet(self, expected: str | None) -> Telemetry:
+    def _meet(self, expected: Robot | None) -> Telemetry:
         """Open port and session; ``expected`` is the robot that must be there."""
+        if expected is not None and not subclasses_of(expected):
+            raise InputError(
+                f"robot '{expected.name}' speaks no ARCOS: its robot.yaml has no section 'arcos'"
+            )
         self._link.open()
         self.identity = identity = connect(self._link, self._bauds)
-        subclass = find_subclass(identity.subclass)
-        if expected is not None and subclass.robot != expected:
-            raise InputError(
-                f"the robot on {self._link.url} is a '{identity.subclass}', "
-                f"not a '{expected}': use --robot {subclass.robot}"
-            )
+        if expected is None:
+            subclass = find_subclass(identity.subclass, (self._robot,))
+        else:
+            subclass = expected_subclass(identity.subclass, expected, self._link.url)
         self._telemetry = Telemetry(subclass)
         self._begin_session(self._telemetry)
         return self._telemetry

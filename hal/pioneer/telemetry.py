@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from visctrl.hal.pioneer.config import Config
 from visctrl.hal.pioneer.reports import Flags, StandardReport
-from visctrl.hal.pioneer.subclasses import HEADING_RAD, NO_ECHO_M, Subclass
+from visctrl.hal.pioneer.subclasses import HEADING_RAD, Subclass
 from visctrl.hal.types import STANDSTILL, BaseStatus, Odometry, Pose, Range, Velocity
 
 #: Every firmware's position counter wraps at a multiple of this (15, 16 or more bits).
@@ -42,7 +42,7 @@ class Telemetry:
     Parameters
     ----------
     subclass : Subclass
-        Conversion factors.
+        What the robot's counters count.
     """
 
     def __init__(self, subclass: Subclass) -> None:
@@ -78,16 +78,18 @@ class Telemetry:
         self._last, self.last_report = report, stamp
         self.odometry = Odometry(stamp, self._pose(), self._velocity(report))
         for reading in report.sonar:
-            range_m = reading.range * self._subclass.range_mm / 1e3
+            range_m = reading.range * self._subclass.units.range_mm / 1e3
             self.echoes[reading.number] = Echo(range_m, stamp)
 
     def ranges(self, now: float, oldest: float) -> list[Range]:
         """Return the sonar readings at most ``oldest`` s old; infinite where nothing echoed."""
         ring, found = self._subclass.sonar, []
+        if ring is None:
+            return []
         for number, echo in sorted(dict(self.echoes).items()):
-            if now - echo.stamp <= oldest and number < len(ring):
-                at = ring[number]
-                distance = echo.range_m if echo.range_m < NO_ECHO_M else math.inf
+            if now - echo.stamp <= oldest and number in ring.transducers:
+                at = ring.transducers[number]
+                distance = echo.range_m if echo.range_m < ring.range_m else math.inf
                 age = max(now - echo.stamp, 0.0)
                 found.append(Range(-at.left_m, at.forward_m, -at.direction_rad, distance, age))
         return found
@@ -145,7 +147,7 @@ class Telemetry:
         return Flags(self._last.motion.flags if self._last else 0)
 
     def _advance(self, before: StandardReport, now: StandardReport, dt: float) -> None:
-        metres = self._subclass.distance_mm / 1e3
+        metres = self._subclass.units.distance_mm / 1e3
         dx = _wrapped(now.motion.x - before.motion.x, _POSITION_WRAP) * metres
         dy = _wrapped(now.motion.y - before.motion.y, _POSITION_WRAP) * metres
         turned = _wrapped(now.motion.theta - before.motion.theta, _HEADING_WRAP)
@@ -168,7 +170,7 @@ class Telemetry:
         left, right = report.motion.left, report.motion.right
         rate = report.tail.turn_rate
         if rate is None:
-            omega = (right - left) / 2.0 * self._subclass.turn_per_difference
+            omega = (right - left) / 2.0 * self._subclass.arcos.turn_per_difference
         else:
             omega = math.radians(rate / 10.0)
         return Velocity((left + right) / 2e3, omega)

@@ -28,8 +28,6 @@ _GRAVITY_M_S2 = 9.81
 _WALL_THICKNESS_M = 0.2
 #: Time for the robot to come to rest on its wheels after it has been put down.
 _SETTLE_STEPS = 60
-#: Height of the sonar rings (m).
-_SONAR_HEIGHT_M = 0.2
 #: Collision groups: wheels roll on the floor; the body's outline meets everything else.
 _FLOOR, _THINGS, _BODY, _WHEELS = 1, 2, 4, 8
 #: The engine counts rays into its first group.
@@ -80,9 +78,9 @@ class Physics:
         self._contacts = 0
 
     @property
-    def robot(self) -> str:
-        """Name of the robot."""
-        return self._robot.name
+    def robot(self) -> Robot:
+        """The robot."""
+        return self._robot
 
     def put(self, axle: Pose) -> None:
         """Put the robot down, at rest, with its axle's centre at ``axle``."""
@@ -140,16 +138,15 @@ class Physics:
         )[1]
         return math.acos(min(1.0, pybullet.getMatrixFromQuaternion(quaternion)[8]))
 
-    def echoes(self, start: Array, end: Array) -> Array:
+    def echoes(self, start: Array, end: Array, height: float) -> Array:
         """Return how far along segments (N, 2, floor plan) things are met, as shares (N,).
 
-        The segments run at the height of the sonar rings; 1 is nothing. The robot itself is not
-        met.
+        The segments run at ``height`` (m); 1 is nothing. The robot itself is not met.
         """
         ends = [
-            np.column_stack([to_rep103(np.pad(points, ((0, 0), (0, 1))))[:, :2], height])
+            np.column_stack([to_rep103(np.pad(points, ((0, 0), (0, 1))))[:, :2], level])
             for points in (start, end)
-            for height in [np.full(len(points), _SONAR_HEIGHT_M)]
+            for level in [np.full(len(points), height)]
         ]
         hits = pybullet.rayTestBatch(
             ends[0].tolist(),

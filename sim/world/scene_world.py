@@ -10,17 +10,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.hal.pioneer.subclasses import NO_ECHO_M, SonarPose
 from visctrl.hal.types import Pose
 from visctrl.robots import Robot
+from visctrl.robots.sonar import Transducer
 from visctrl.sim.world.scene import Scene, overlap, rectangle, robot_outline
 
 Array = NDArray[np.float64]
-
-#: Height of the sonar rings (m); what hangs above is not heard.
-_SONAR_HEIGHT_M = 0.2
-#: Rays across a transducer's cone (rad).
-_CONE = np.radians([-12.0, -6.0, 0.0, 6.0, 12.0])
 
 
 class SceneWorld:
@@ -42,20 +37,23 @@ class SceneWorld:
         self._outlines = [item.outline() for item in solid]
         self._centres = np.array([item.at_m for item in solid]).reshape(-1, 2)
         self._radii = np.array([math.hypot(*item.size_m[:2]) / 2 for item in solid])
-        heard = [item.outline() for item in scene.items if item.bottom_m < _SONAR_HEIGHT_M]
+        # What hangs above the ring is not heard.
+        height = 0.0 if robot.sonar is None else robot.sonar.height_m
+        self._cone = np.array([0.0] if robot.sonar is None else robot.sonar.ray_angles)
+        heard = [item.outline() for item in scene.items if item.bottom_m < height]
         walls = rectangle(Pose((x0 + x1) / 2, (y0 + y1) / 2, 0.0), x1 - x0, y1 - y0)
         corners = [walls, *heard]
         self._from = np.concatenate(corners)
         self._to = np.concatenate([np.roll(polygon, -1, axis=0) for polygon in corners])
 
-    def sonar(self, axle: Pose, transducer: SonarPose) -> float:
-        """Return the range (m) to what is nearest in the transducer's cone."""
+    def sonar(self, axle: Pose, transducer: Transducer) -> float:
+        """Return the distance (m) to what is nearest in the transducer's cone."""
         c, s = math.cos(axle.phi), math.sin(axle.phi)
         ahead, left = transducer.forward_m, transducer.left_m
         origin = np.array([axle.x - s * ahead - c * left, axle.y + c * ahead - s * left])
-        angles = axle.phi + transducer.direction_rad + _CONE
+        angles = axle.phi + transducer.direction_rad + self._cone
         rays = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
-        return float(min(self._nearest(origin, rays), NO_ECHO_M))
+        return self._nearest(origin, rays)
 
     def blocked(self, axle: Pose) -> bool:
         """Return whether the robot's outline leaves the room or overlaps an item."""

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from visctrl.hal.actuation import Actuation, ActuationOptions
-from visctrl.hal.pioneer.subclasses import NO_ECHO_M, ring_of
 from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Range, Velocity
 from visctrl.robots.model import Mount
 from visctrl.robots.unicycle import step_exact
@@ -18,8 +17,6 @@ from visctrl.sim.world.physics import STEPS_PER_SECOND, Physics
 _STEP_S = 1.0 / STEPS_PER_SECOND
 #: Times this close, in steps, are the same.
 _STEP_TOLERANCE = 1e-6
-#: Rays across a sonar's cone (rad).
-_CONE = np.radians([-12.0, -6.0, 0.0, 6.0, 12.0])
 _ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
@@ -45,7 +42,7 @@ class World:
         self._sensor = sensor
         self._options = options
         self._mount = mount
-        self._ring = ring_of(physics.robot)
+        self._ring = physics.robot.sonar
         self.closed = False
         self._time = 0.0
         self._steps = 0
@@ -86,21 +83,23 @@ class World:
 
     def ranges(self) -> list[Range]:
         """Return what the robot's sonar rings would measure: the nearest in each cone."""
-        if not self._ring:
+        ring = self._ring
+        if ring is None:
             return []
-        axle = self.physics.axle()
-        at = np.array([[-pose.left_m, pose.forward_m] for pose in self._ring])
+        axle, places = self.physics.axle(), list(ring.transducers.values())
+        at = np.array([[-pose.left_m, pose.forward_m] for pose in places])
         s, c = math.sin(axle.phi), math.cos(axle.phi)
         start = np.array([axle.x, axle.y]) + at @ np.array([[c, s], [-s, c]])
-        angle = axle.phi + np.array([[p.direction_rad] for p in self._ring]) + _CONE
-        rays = NO_ECHO_M * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+        angle = axle.phi + np.array([[p.direction_rad] for p in places]) + ring.ray_angles
+        rays = ring.range_m * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
         origins = np.broadcast_to(start[:, None], rays.shape)
-        shares = self.physics.echoes(origins.reshape(-1, 2), (origins + rays).reshape(-1, 2))
+        start, end = origins.reshape(-1, 2), (origins + rays).reshape(-1, 2)
+        shares = self.physics.echoes(start, end, ring.height_m)
         nearest = shares.reshape(angle.shape).min(axis=1)
-        distance = np.where(nearest < 1.0, NO_ECHO_M * nearest, math.inf)
+        distance = np.where(nearest < 1.0, ring.range_m * nearest, math.inf)
         return [
             Range(float(right), float(forward), -pose.direction_rad, float(away))
-            for pose, (right, forward), away in zip(self._ring, at, distance, strict=True)
+            for pose, (right, forward), away in zip(places, at, distance, strict=True)
         ]
 
     def photograph(self, stamp: float) -> Frame:

@@ -23,7 +23,7 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.clock import WallClock
 from visctrl.hal.emulator.emulator import Emulator
 from visctrl.hal.emulator.firmware import Firmware
-from visctrl.hal.emulator.firmware_profile import character
+from visctrl.hal.emulator.firmware_profile import emulated, profile
 from visctrl.hal.emulator.ports import PtyPort
 from visctrl.hal.errors import LinkError
 from visctrl.hal.pioneer.base import PioneerBase
@@ -69,7 +69,7 @@ class Driven:
 def driven(site: Site, *held: tuple[float, float, str], fault: str = "") -> Driven:
     """Let a hand drive for 8 s with keys held from then to then (s); then quit."""
     it = Driven(site.robot())
-    base = PioneerBase(it.robot.url, "p3dx", load_robot("p3dx").operating, WallClock())
+    base = PioneerBase(it.robot.url, load_robot("p3dx"), load_robot("p3dx").operating, WallClock())
     base.open()
     begun = site.world.now
     keys = [(begun + a, begun + b, key) for a, b, key in (*held, (8.0, 8.0, "q"))]
@@ -144,7 +144,7 @@ def test_keys() -> None:
 
 @pytest.fixture
 def emulator() -> Iterator[Emulator]:
-    with Emulator(Firmware(character("p3dx-sh")), PtyPort()) as emulator:
+    with Emulator(Firmware(profile(emulated("p3dx-sh"))), PtyPort()) as emulator:
         yield emulator
 
 

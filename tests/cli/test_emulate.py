@@ -37,7 +37,7 @@ def test_emulator_serves_a_driver_and_keeps_a_log(tmp_path: Path) -> None:
         assert process.stdout is not None
         url = process.stdout.readline().strip()
         assert url.startswith("socket://127.0.0.1:")
-        base = PioneerBase(url, "p3at", load_robot("p3at").operating, WallClock())
+        base = PioneerBase(url, load_robot("p3at"), load_robot("p3at").operating, WallClock())
         base.open()
         try:
             deadline = time.monotonic() + 3.0

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from virtual_robot import Site
+from virtual_robot import Site, renamed_robot
 
 from visctrl.cli.main import main
 from visctrl.hal.cameras.central import CentralCamera
@@ -21,7 +21,6 @@ from visctrl.hal.emulator.firmware import STEP_S
 from visctrl.hal.emulator.firmware_profile import SIMULATOR, Personality
 from visctrl.hal.emulator.world import Room
 from visctrl.hal.pioneer.commands import Command, Id, decode_command
-from visctrl.hal.pioneer.subclasses import SUBCLASSES
 from visctrl.hal.types import STANDSTILL
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.target_view import TargetView, load_target
@@ -284,13 +283,11 @@ def test_port_that_answers_rubbish(robot: Emulator, run: Run) -> None:
     assert not robot.motors
 
 
-def test_unknown_subclass(
-    site: Site, robot: Emulator, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delitem(SUBCLASSES, "p3dx-sh")
-    code, _, messages = run()
+def test_unknown_subclass(run: Run, site: Site, tmp_path: Path) -> None:
+    robot = site.robot("/dev/other", str(renamed_robot(tmp_path, "seekur")))
+    code, _, messages = run("--port", robot.url)
     assert code == 3
-    assert "calls itself 'p3dx-sh', which is not known here" in messages
+    assert "calls itself 'seekur', which is not known here" in messages
     assert not robot.motors
     assert robot.traffic.commands()[-1] == Command(Id.CLOSE)
 

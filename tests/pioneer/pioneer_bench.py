@@ -24,7 +24,8 @@ class Bench:
     robot: Emulator
 
     def base(self, robot: str = "p3dx") -> PioneerBase:
-        return PioneerBase(self.robot.url, robot, load_robot(robot).operating, WallClock())
+        its = load_robot(robot)
+        return PioneerBase(self.robot.url, its, its.operating, WallClock())
 
     def drive(self, base: PioneerBase, velocity: Velocity, seconds: float) -> Velocity:
         """Command at 10 Hz, as a scheduler that stops for every fault does."""

@@ -26,7 +26,7 @@ from visctrl.hal.pioneer.reports import (
     decode_standard_report,
     is_standard_report,
 )
-from visctrl.hal.pioneer.subclasses import HEADING_RAD, SUBCLASSES
+from visctrl.hal.pioneer.subclasses import HEADING_RAD, known_subclasses
 from visctrl.hal.types import STANDSTILL
 from visctrl.robots.unicycle import wrap_angle
 
@@ -111,7 +111,7 @@ def config_of(packets: list[Packet]) -> Config:
 
 
 def same_configuration(mine: Config, theirs: Config) -> None:
-    assert mine.subclass in SUBCLASSES
+    assert mine.subclass in known_subclasses()
     for name in SAME:
         assert getattr(mine, name) == getattr(theirs, name), name
     for name in LIMITS:

@@ -6,10 +6,11 @@ import contextlib
 import itertools
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
-from virtual_robot import Site
+from virtual_robot import Site, renamed_robot
 
 from visctrl.hal.clock import ManualClock, WallClock
 from visctrl.hal.emulator.firmware_profile import ARCOS, SIMULATOR, Personality
@@ -17,7 +18,6 @@ from visctrl.hal.errors import DeviceError, InputError, LinkError
 from visctrl.hal.pioneer.base import PioneerBase
 from visctrl.hal.pioneer.commands import FORBIDDEN, Command, Id
 from visctrl.hal.pioneer.link import SPACING_S, Link
-from visctrl.hal.pioneer.subclasses import SUBCLASSES
 from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.robots import load_robot
 
@@ -155,7 +155,7 @@ def test_frozen_program_does_not_revive_the_robot(
 
 
 def open_error(url: str, kind: type[Exception] = LinkError) -> str:
-    base = PioneerBase(url, "p3dx", load_robot("p3dx").operating, WallClock(), (9600,))
+    base = PioneerBase(url, load_robot("p3dx"), load_robot("p3dx").operating, WallClock(), (9600,))
     with pytest.raises(kind) as caught:
         base.open()
     base.close()
@@ -188,12 +188,12 @@ def test_another_robot_than_expected(bench: MakeBench) -> None:
     assert not it.robot.motors
 
 
-def test_unknown_subclass(bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
-    it = bench()
-    monkeypatch.delitem(SUBCLASSES, "p3dx-sh")
+def test_unknown_subclass(bench: MakeBench, tmp_path: Path) -> None:
+    it = bench(subclass=str(renamed_robot(tmp_path, "seekur")))
     message = open_error(it.robot.url)
-    assert "'p3dx-sh'" in message
-    assert "known: p2at" in message
+    assert "'seekur'" in message
+    assert "known: " in message
+    assert "p2at" in message
     assert not it.robot.motors
     assert it.robot.traffic.commands()[-1] == Command(Id.CLOSE)
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from visctrl.hal.emulator.firmware import Firmware
-from visctrl.hal.emulator.firmware_profile import ARCOS, EMULATED, SIMULATOR, Personality, character
+from visctrl.hal.emulator.firmware_profile import ARCOS, SIMULATOR, Personality, emulated, profile
 from visctrl.hal.emulator.world import Room
 from visctrl.hal.pioneer.commands import Command, Id
 from visctrl.hal.pioneer.config import decode_config
@@ -21,7 +21,7 @@ from visctrl.hal.pioneer.reports import (
     decode_standard_report,
     is_standard_report,
 )
-from visctrl.hal.pioneer.subclasses import HEADING_RAD, SUBCLASSES
+from visctrl.hal.pioneer.subclasses import HEADING_RAD, known_subclasses
 from visctrl.hal.pioneer.telemetry import Telemetry
 from visctrl.hal.types import Pose, Velocity
 from visctrl.robots.unicycle import wrap_angle
@@ -74,13 +74,13 @@ class Client:
 
 
 def client(subclass: str = "p3dx-sh", personality: Personality = ARCOS) -> Client:
-    return Client(Firmware(character(subclass, personality)))
+    return Client(Firmware(profile(emulated(subclass), personality)))
 
 
 # --- sessions ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("subclass", EMULATED)
+@pytest.mark.parametrize("subclass", sorted(known_subclasses()))
 def test_handshake_and_configuration(subclass: str) -> None:
     it = client(subclass)
     assert it.send(Command(Id.PULSE)) == [Packet(0)]
@@ -259,7 +259,7 @@ def test_simulator_has_no_watchdog() -> None:
 
 
 def test_walls_stop_the_robot_and_press_the_bumper() -> None:
-    firmware = Firmware(character("p3dx-sh"), world=Room(-2.0, 2.0, -2.0, 1.0))
+    firmware = Firmware(profile(emulated("p3dx-sh")), world=Room(-2.0, 2.0, -2.0, 1.0))
     it = Client(firmware)
     it.drive(Command(Id.VEL, 400))
     report = it.wait(5.0)[-1]
@@ -279,7 +279,7 @@ def test_odometry_follows_a_long_drive_through_every_wrap(
 ) -> None:
     """Straight on through the 16-bit counter, and around through the heading's."""
     it = client(subclass, personality)
-    telemetry = Telemetry(SUBCLASSES[subclass])
+    telemetry = Telemetry(known_subclasses()[subclass])
     it.drive(Command(Id.SETV, 1200))
     telemetry.take(it.wait(0.1)[0], it.t)
     it.send(Command(Id.VEL, 1200))
@@ -321,7 +321,7 @@ def test_report_that_forgets_its_readings() -> None:
 
 def test_sonar_hears_the_walls_and_can_be_switched_off() -> None:
     room = Room(-1.0, 3.0, -4.0, 2.0)
-    it = Client(Firmware(character("p3dx-sh"), Pose(0.0, 0.0, 0.0), room))
+    it = Client(Firmware(profile(emulated("p3dx-sh")), Pose(0.0, 0.0, 0.0), room))
     it.connect()
     ranges = {r.number: r.range for report in it.wait(0.4) for r in report.sonar}
     assert len(ranges) == 16
@@ -356,7 +356,7 @@ def test_encoders_and_inputs_once_and_streamed() -> None:
 
 
 def test_slip_is_hidden_from_the_odometry() -> None:
-    firmware = Firmware(character("p3dx-sh"), slip=Velocity(0.1, 0.0))
+    firmware = Firmware(profile(emulated("p3dx-sh")), slip=Velocity(0.1, 0.0))
     it = Client(firmware)
     it.drive(Command(Id.VEL, 400))
     it.wait(5.0)

@@ -21,7 +21,7 @@ import pytest
 from visctrl.hal.clock import WallClock
 from visctrl.hal.emulator.emulator import Emulator
 from visctrl.hal.emulator.firmware import Firmware
-from visctrl.hal.emulator.firmware_profile import ARCOS, SIMULATOR, Personality, character
+from visctrl.hal.emulator.firmware_profile import ARCOS, SIMULATOR, Personality, emulated, profile
 from visctrl.hal.emulator.ports import Port, PtyPort, TcpPort
 from visctrl.hal.errors import LinkError
 from visctrl.hal.pioneer.base import PioneerBase
@@ -40,7 +40,7 @@ from visctrl.hal.pioneer.base import PioneerBase
 from visctrl.hal.types import Velocity
 from visctrl.robots import load_robot
 
-base = PioneerBase(sys.argv[1], "p3dx", load_robot("p3dx").operating, WallClock())
+base = PioneerBase(sys.argv[1], load_robot("p3dx"), load_robot("p3dx").operating, WallClock())
 base.open()
 while True:
     base.command(Velocity(0.4, 0.0))
@@ -49,12 +49,12 @@ while True:
 
 
 def make_base(url: str, *bauds: int) -> PioneerBase:
-    limits = load_robot("p3dx").operating
-    return PioneerBase(url, "p3dx", limits, WallClock(), bauds or (9600, 38400))
+    robot = load_robot("p3dx")
+    return PioneerBase(url, robot, robot.operating, WallClock(), bauds or (9600, 38400))
 
 
 def make_emulator(port: Port, personality: Personality = ARCOS) -> Emulator:
-    return Emulator(Firmware(character("p3dx-sh", personality)), port)
+    return Emulator(Firmware(profile(emulated("p3dx-sh"), personality)), port)
 
 
 def wait_until(done: Callable[[], bool], limit: float = START_S) -> None:

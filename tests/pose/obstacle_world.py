@@ -12,11 +12,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.mock.backend import MockBackend, MockOptions
-from visctrl.hal.pioneer.subclasses import NO_ECHO_M, ring_of
 from visctrl.hal.types import Pose, Range
 from visctrl.robots import Robot, load_robot
-from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import step_exact
 from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.plan import make_plan
@@ -44,26 +43,28 @@ class SolidMock(MockBackend):
 
     Options: ClassVar[type[SolidOptions]] = SolidOptions
 
-    def __init__(self, *, robot: Robot, options: SolidOptions, **others: Any) -> None:
-        super().__init__(robot=robot, options=options, **others)
-        self._solid = SceneWorld(scene_with(options.scene, options.boxes), robot)
+    def __init__(self, setup: BackendSetup[SolidOptions]) -> None:
+        super().__init__(setup)
+        options = setup.options
+        self._solid = SceneWorld(scene_with(options.scene, options.boxes), setup.robot)
 
     @classmethod
-    def measures_ranges(cls, robot: Robot, options: StrictModel) -> bool:
+    def measures_ranges(cls, robot: Robot, options: SolidOptions) -> bool:
         del options
-        return bool(ring_of(robot.name))
+        return robot.sonar is not None
 
     def open(self) -> None:
         super().open()
         self.base.ranges = self._ranges  # type: ignore[method-assign]
 
     def _ranges(self) -> list[Range]:
-        truth = self.truth()
+        truth, ring = self.truth(), self.robot.sonar
         assert truth is not None
+        assert ring is not None
         found = []
-        for at in ring_of(self.robot.name):
+        for at in ring.transducers.values():
             away = self._solid.sonar(axle(truth), at)
-            away = away if away < NO_ECHO_M else math.inf
+            away = away if away < ring.range_m else math.inf
             found.append(Range(-at.left_m, at.forward_m, -at.direction_rad, away))
         return found
 

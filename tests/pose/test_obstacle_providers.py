@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from obstacle_world import AHEAD, ROBOT, Watch, axle, run, scene_with
 
 from visctrl.contracts import Context, Health, Obstacle
-from visctrl.hal.pioneer.subclasses import NO_ECHO_M, ring_of
 from visctrl.hal.types import Pose, Range
 from visctrl.planning.providers.listed import Listed, ListedOptions
 from visctrl.planning.providers.occupancy_grid import CELL_M, EchoMap, Reading
@@ -123,12 +122,13 @@ def swept(world: SceneWorld, camera: Pose, angles: np.ndarray) -> EchoMap:
     for angle in angles.tolist():
         here = axle(camera._replace(phi=camera.phi + angle))
         readings = []
-        for at in ring_of("p3dx"):
+        assert ROBOT.sonar is not None
+        for at in ROBOT.sonar.transducers.values():
             away = world.sonar(here, at)
             s, c = math.sin(here.phi), math.cos(here.phi)
             x = here.x - c * at.left_m - s * at.forward_m
             y = here.y - s * at.left_m + c * at.forward_m
-            away = away if away < NO_ECHO_M else math.inf
+            away = away if away < ROBOT.sonar.range_m else math.inf
             relative = relative_pose((x, y, here.phi + at.direction_rad), camera).tolist()
             readings.append(Reading(*relative, away))
         grid.take(readings)

@@ -14,16 +14,18 @@ from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
 from visctrl.hal.cameras.central import load_camera
 from visctrl.hal.clock import WallClock
 from visctrl.hal.errors import CameraError, InputError, StaleFrameError
-from visctrl.hal.pioneer.subclasses import SUBCLASSES, SonarPose
 from visctrl.hal.types import Pose
 from visctrl.robots import load_robot
+from visctrl.robots.sonar import Transducer
 from visctrl.sim.emulated_camera import CameraSpec, EmulatedCamera, State
 from visctrl.sim.world.scene import Item, Room, Scene, load_scene
 from visctrl.sim.world.scene_world import SceneWorld
 
 HALL = load_scene("hall")
 ROBOT = load_robot("p3dx")
-AHEAD = SonarPose(0.0, 0.0, 0.0)
+assert ROBOT.sonar is not None
+RING = tuple(ROBOT.sonar.transducers.values())
+AHEAD = Transducer(0.0, 0.0, 0.0)
 
 
 def scene(*items: Item) -> Scene:
@@ -40,7 +42,7 @@ def test_walls_are_heard_at_their_distance(phi: float, distance: float) -> None:
 
 def test_nothing_within_range() -> None:
     big = Scene(name="big", room=Room(x_m=(-20, 20), y_m=(-20, 20), height_m=3.0))
-    assert SceneWorld(big, ROBOT).sonar(Pose(0, 0, 0), AHEAD) == 5.0
+    assert SceneWorld(big, ROBOT).sonar(Pose(0, 0, 0), AHEAD) == 20.0
 
 
 def test_items_on_the_floor_are_heard_and_hanging_ones_are_not() -> None:
@@ -54,11 +56,11 @@ def test_items_on_the_floor_are_heard_and_hanging_ones_are_not() -> None:
     st.floats(HALL.room.x_m[0], HALL.room.x_m[1]),
     st.floats(HALL.room.y_m[0], HALL.room.y_m[1]),
     st.floats(-math.pi, math.pi),
-    st.sampled_from(SUBCLASSES["p3dx-sh"].sonar),
+    st.sampled_from(RING),
 )
 @settings(max_examples=60, deadline=None)
 def test_nothing_is_nearer_than_the_echo(
-    x: float, y: float, phi: float, transducer: SonarPose
+    x: float, y: float, phi: float, transducer: Transducer
 ) -> None:
     """A march along the axis in steps meets nothing before the echo's range."""
     world = SceneWorld(HALL, ROBOT)

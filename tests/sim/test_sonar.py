@@ -8,7 +8,7 @@ import pytest
 
 from visctrl.hal.cameras.central import load_camera
 from visctrl.hal.interfaces import BackendSetup
-from visctrl.hal.pioneer.subclasses import NO_ECHO_M, Subclass, find_subclass, ring_of
+from visctrl.hal.pioneer.subclasses import find_subclass
 from visctrl.hal.pioneer.telemetry import Echo, Telemetry
 from visctrl.hal.types import Pose
 from visctrl.robots import load_robot
@@ -41,10 +41,11 @@ def test_ranges_are_those_of_the_plan_and_boxes_are_met() -> None:
     assert axle is not None
     scene = load_scene(SMALL_ROOM)
     plan = SceneWorld(scene, P3AT)
-    ring = ring_of("p3at")
+    assert P3AT.sonar is not None
+    ring, limit = list(P3AT.sonar.transducers.values()), P3AT.sonar.range_m
     assert len(found) == len(ring) == 16
-    expected = np.array([plan.sonar(axle, pose) for pose in ring])
-    heard = np.minimum([reading.distance for reading in found], NO_ECHO_M)
+    expected = np.minimum([plan.sonar(axle, pose) for pose in ring], limit)
+    heard = np.minimum([reading.distance for reading in found], limit)
     ahead = [k for k, pose in enumerate(ring) if abs(pose.direction_rad) < 0.3]
     aside = [k for k, pose in enumerate(ring) if abs(pose.direction_rad) > 0.9]
     # The plan does not know of the box ahead.
@@ -70,9 +71,8 @@ def test_sonar_alone_leads_round_a_box_on_rendered_images() -> None:
 
 
 def test_a_sonar_reading_says_where_it_looks_and_old_ones_are_forgotten() -> None:
-    subclass: Subclass = find_subclass("p3dx-sh")
-    telemetry = Telemetry(subclass)
-    telemetry.echoes.update({0: Echo(1.2, 9.5), 3: Echo(NO_ECHO_M, 9.6), 7: Echo(0.8, 3.0)})
+    telemetry = Telemetry(find_subclass("p3dx-sh"))
+    telemetry.echoes.update({0: Echo(1.2, 9.5), 3: Echo(5.0, 9.6), 7: Echo(0.8, 3.0)})
     left, ahead = telemetry.ranges(now=10.0, oldest=1.0)
     assert left.age == pytest.approx(0.5)
     assert left.right == pytest.approx(-0.136)

@@ -160,7 +160,8 @@ def robot(port: str) -> Iterator[Finding]:
     """Ask the robot who it is and how it is set; it does not move."""
     from visctrl.hal.pioneer.base import PioneerBase
 
-    base = PioneerBase(port, "p3dx", load_robot("p3dx").operating, WallClock())
+    its = load_robot("p3dx")
+    base = PioneerBase(port, its, its.operating, WallClock())
     status = base.inspect()
     identity, config = base.identity, base.config
     if identity is not None:

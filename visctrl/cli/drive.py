@@ -63,7 +63,7 @@ def drive(port: str, robot: str, speed: float, turn_deg: float) -> int:
             f"--speed and --turn: at most {limits.v_m_s:g} m/s and {limits.omega_deg_s:g} deg/s"
         )
     clock = WallClock()
-    base = PioneerBase(port, robot, limits, clock)
+    base = PioneerBase(port, its, limits, clock)
     with Interrupts(), keyboard() as keys:
         try:
             base.open()

@@ -17,12 +17,11 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.emulator.emulator import Emulator
 from visctrl.hal.emulator.faults import FaultSchedule, parse_fault
 from visctrl.hal.emulator.firmware import Firmware
-from visctrl.hal.emulator.firmware_profile import EMULATED, PERSONALITIES, character
+from visctrl.hal.emulator.firmware_profile import PERSONALITIES, emulated, profile
 from visctrl.hal.emulator.ports import Port, PtyPort, TcpPort
 from visctrl.hal.emulator.traffic import Traffic
 from visctrl.hal.errors import CameraError, LinkError
 from visctrl.hal.types import Pose, Velocity
-from visctrl.robots import load_robot
 from visctrl.robots.documents import suggestion
 from visctrl.robots.errors import InputError
 from visctrl.robots.model import Mount
@@ -45,10 +44,10 @@ _PORT = re.compile(r"(pty|socket)(?::(\d+))?")
 class Emulation:
     """What to emulate.
 
-    port : ``pty``, ``socket`` or ``socket:PORT``. robot : subclass. start : pose of the camera
-    in the scene. camera : None for a robot without one. faults : as `parse_fault` reads them.
-    slip : fractions of v and ω that the odometry does not notice. log : file of what is received,
-    and of where the robot truly is.
+    port : ``pty``, ``socket`` or ``socket:PORT``. robot : subclass, or a robot's name or path.
+    start : pose of the camera in the scene. camera : None for a robot without one. faults : as
+    `parse_fault` reads them. slip : fractions of v and ω that the odometry does not notice. log :
+    file of what is received, and of where the robot truly is.
     """
 
     port: str
@@ -91,10 +90,10 @@ def emulate(wanted: Emulation) -> int:
     """
     _check(wanted)
     schedule = FaultSchedule(parse_fault(text) for text in wanted.faults)
-    subclass = _known("robot", wanted.robot, EMULATED)
+    subclass = emulated(wanted.robot)
     personality = PERSONALITIES[_known("personality", wanted.personality, PERSONALITIES)]
-    its = character(subclass, personality)
-    robot = load_robot(its.subclass.robot)
+    its = profile(subclass, personality)
+    robot = subclass.robot
     mount = robot.mount(wanted.mount)
     scene = load_scene(wanted.scene)
     scene.check_clear(wanted.start, mount.forward_m, robot, "start")

@@ -48,7 +48,9 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Set a scenario key; may be repeated."),
 ]
-RobotOption = Annotated[str | None, typer.Option(metavar="NAME", help="p3dx or p3at.")]
+RobotOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="A robot's name, or the path of its robot.yaml.")
+]
 CameraOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="A camera's name, or a calibration file.")
 ]
@@ -97,7 +99,8 @@ def emulate_command(
         str, typer.Option(metavar="KIND", help="pty, socket or socket:PORT (0 takes a free one).")
     ] = "pty",
     robot: Annotated[
-        str, typer.Option(metavar="NAME", help="p3dx-sh, p3at-sh, p3dx or p3at.")
+        str,
+        typer.Option(metavar="NAME", help="A controller, as p3dx-sh, or a robot's name or path."),
     ] = "p3dx-sh",
     personality: Annotated[
         str, typer.Option(metavar="NAME", help="arcos, or simulator for the habits of that.")
@@ -168,7 +171,9 @@ def drive_command(
     port: Annotated[str, typer.Option(metavar="PORT", help="The robot's device or URL.")] = (
         "/dev/ttyUSB0"
     ),
-    robot: Annotated[str, typer.Option(metavar="NAME", help="p3dx or p3at.")] = "p3dx",
+    robot: Annotated[
+        str, typer.Option(metavar="NAME", help="A robot's name, or its robot.yaml.")
+    ] = "p3dx",
     speed: Annotated[float, typer.Option(metavar="M/S", help="Speed while a key is held.")] = 0.2,
     turn: Annotated[
         float, typer.Option(metavar="DEG/S", help="Turning rate while a key is held.")

@@ -75,7 +75,9 @@ BackendOption = Annotated[
 SchemeOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="trifocal, epipolar or pose.", show_default=False)
 ]
-RobotOption = Annotated[str | None, typer.Option(metavar="NAME", help="p3dx or p3at.")]
+RobotOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="A robot's name, or the path of its robot.yaml.")
+]
 CameraOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="A camera's name, or a calibration file.")
 ]

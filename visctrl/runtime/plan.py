@@ -14,7 +14,7 @@ from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup
 from visctrl.robots import Limits, Robot, load_robot
 from visctrl.robots.documents import StrictModel, validate
 from visctrl.robots.errors import InputError
-from visctrl.robots.model import Mount
+from visctrl.robots.model import Mount, is_path
 from visctrl.runtime.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
 from visctrl.runtime.registry import (
     REGISTRIES,
@@ -126,6 +126,8 @@ class Plan:
     def effective(self) -> dict[str, Any]:
         """Return the whole configuration, every default filled in; it can be run again."""
         data = self.scenario.model_dump(mode="json", exclude={"backends"})
+        if is_path(self.scenario.robot):
+            data["robot"] = str(Path(self.scenario.robot).resolve())
         data["camera"]["width"] = self.camera.width
         data["camera"]["height"] = self.camera.height
         data["camera"]["mount"] = self.scenario.camera.mount or self.scheme.mount
