@@ -157,7 +157,7 @@ def whole_tick(camera: CentralCamera, count: int) -> float:
         ids = np.arange(len(points))
         views = Views(ids, target, initial, rays, pixels, sigma, 0.1 * k)
         began = time.process_time()
-        sent = controller.update(estimator.update(views, sent, 0.1), 0.1 * k).velocity
+        sent = controller.update(estimator.update(views, sent, 0.1), sent, 0.1).velocity
         taken.append(1e3 * (time.process_time() - began))
         pose = step_exact(pose, sent.v, sent.omega, 0.1)
         pose[2] = wrap_angle(pose[2])

@@ -38,7 +38,6 @@ class Ticks:
         self.estimator.reset()
         self.previous, self._frames = frames[0], iter(frames[1:])
         self.seconds: dict[str, list[float]] = {name: [] for name in STAGES}
-        self._t = 0.0
         self._advance()
 
     def _advance(self) -> None:
@@ -56,8 +55,7 @@ class Ticks:
         yield "perception"
         estimate = self.estimator.update(self.views, VELOCITY, PERIOD_S)
         yield "estimation"
-        self._t += PERIOD_S
-        self.controller.update(estimate, self._t)
+        self.controller.update(estimate, VELOCITY, PERIOD_S)
         yield "control"
 
     def tick(self) -> None:

@@ -1,6 +1,8 @@
-"""What a base makes of a commanded velocity: bounds, whole units, delay, acceleration ramp.
+"""From a wanted velocity to what a base executes.
 
-The mock and the simulated base share it, so that both execute commands as an ARCOS base does.
+`Limiter` bounds, ramps and rounds what a controller wants, once, for every backend. `Actuation`
+is the other side, a base's own: units, delay and acceleration ramp of a simulated one, as an
+ARCOS base has them.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from visctrl.robots import Limits
 from visctrl.robots.documents import StrictModel
 
 _MM = 1000.0
+#: Half of the units that an ARCOS base takes: 1 mm/s (VEL) and 1 deg/s (RVEL).
+_V_HALF, _OMEGA_HALF = 0.5e-3, math.radians(0.5)
 #: Times this close (s) are the same instant.
 _SAME_INSTANT_S = 1e-9
 
@@ -43,6 +47,61 @@ class ActuationOptions(StrictModel):
         return Velocity(
             (1.0 - self.slip_v) * set_point.v, (1.0 - self.slip_omega) * set_point.omega
         )
+
+
+class Limiter:
+    """Bounds, ramps and rounds velocities, so that the base executes what it is sent.
+
+    Bounds scale v and ω alike, which keeps the path's curvature. Rounding carries its remainder
+    to the next command: on average the base turns by what was wanted, however small against
+    1 deg/s.
+
+    Parameters
+    ----------
+    limits : Limits or None
+        Bounds of speed and acceleration; None for an ideal base, which takes any value.
+    whole_units : bool
+        Whether the base takes whole mm/s and deg/s only (see `Base.whole_units`).
+    """
+
+    def __init__(self, limits: Limits | None, *, whole_units: bool) -> None:
+        self._limits = limits
+        self._whole_units = whole_units
+        self._ramped = self._given = self._left = STANDSTILL
+
+    def limit(self, wanted: Velocity, dt: float) -> Velocity:
+        """Return what to send for ``wanted`` after ``dt`` seconds of the last command."""
+        limits, ramped = self._limits, bounded(wanted, self._limits)
+        if limits is not None:
+            ramped = Velocity(
+                towards(self._ramped.v, ramped.v, limits.acceleration_m_s2 * dt),
+                towards(self._ramped.omega, ramped.omega, limits.angular_acceleration_rad_s2 * dt),
+            )
+        if wanted == STANDSTILL:
+            self._left = STANDSTILL
+        self._ramped = ramped
+        self._given = self._rounded(ramped) if self._whole_units else ramped
+        return self._given
+
+    def was_sent(self, sent: Velocity) -> None:
+        """Note what the base was told, which is something else where it was stopped."""
+        if sent != self._given:
+            self._ramped = self._given = sent
+            self._left = STANDSTILL
+
+    def stop(self) -> None:
+        """Start from standstill; nothing is carried on from before."""
+        self._ramped = self._given = self._left = STANDSTILL
+
+    def _rounded(self, ramped: Velocity) -> Velocity:
+        due = Velocity(ramped.v + self._left.v, ramped.omega + self._left.omega)
+        sent = quantised(due, self._limits)
+        # More than half a unit is left only where a bound forbids it: that is not made up for.
+        self._left = Velocity(
+            max(-_V_HALF, min(_V_HALF, due.v - sent.v)),
+            max(-_OMEGA_HALF, min(_OMEGA_HALF, due.omega - sent.omega)),
+        )
+        return sent
 
 
 class Actuation:
@@ -103,6 +162,11 @@ class Actuation:
                 towards(now.v, wanted.v, dv * dt), towards(now.omega, wanted.omega, dw * dt)
             )
         return self._set_point
+
+    @property
+    def whole_units(self) -> bool:
+        """Whether commands are rounded to whole mm/s and deg/s."""
+        return self._options.quantise
 
     @property
     def steady(self) -> bool:

@@ -58,6 +58,9 @@ class Camera(ABC):
 class Base(ABC):
     """A mobile base that takes (v, ω)."""
 
+    #: Whether it takes whole mm/s and deg/s only; a `Limiter` then carries the remainders.
+    whole_units: bool = False
+
     @abstractmethod
     def command(self, velocity: Velocity) -> Velocity:
         """Set the velocity and return what was really sent, after limits and quantisation.

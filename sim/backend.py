@@ -53,6 +53,7 @@ class SimBase(Base):
         self._world = world
         self._clock = clock
         self._faults = options.faults
+        self.whole_units = world.actuation.whole_units
 
     def command(self, velocity: Velocity) -> Velocity:
         """See `Base.command`."""

@@ -59,6 +59,13 @@ class Context:
     lockstep: bool
     body: Body | None = None
 
+    def slowdown(self, wanted: Velocity) -> float:
+        """Return the factor ≤ 1 by which the speed limits will scale a wish, path and all.
+
+        Who follows a reference in time lets that pass the slower.
+        """
+        return 1.0 if self.limits is None else 1.0 / max(1.0, self.limits.ratio(*wanted))
+
 
 @dataclass(frozen=True)
 class Views:
@@ -266,7 +273,11 @@ class ObstacleProvider(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
 
 
 class Controller(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
-    """Turns geometry into a velocity."""
+    """Turns geometry into a velocity.
+
+    It wants what its law wants. Bounds, ramps and rounding come after it (`hal.actuation`), and
+    `Context.slowdown` tells beforehand what the speed limits leave of a wish.
+    """
 
     #: Estimates that `update` accepts, checked when a scheme is put together.
     accepts: ClassVar[type[Estimate]]
@@ -286,5 +297,11 @@ class Controller(Plugin[OptionsT], Generic[OptionsT, EstimateT]):
         """Hear of all present obstacles, before `update`; only where there are providers."""
 
     @abstractmethod
-    def update(self, estimate: EstimateT, t: float) -> Decision:
-        """Return the velocity for an estimate at ``t`` seconds since this controller started."""
+    def update(self, estimate: EstimateT, sent: Velocity, dt: float) -> Decision:
+        """Return the velocity for an estimate.
+
+        It is not asked while nothing is seen: the robot is then held, and its time stands still.
+
+        sent : what the base was told for the last decision.
+        dt : how long that has acted (s); 0 the first time.
+        """

@@ -206,6 +206,7 @@ class MockBase(Base):
         self._motion = motion
         self._clock = clock
         self._faults = faults
+        self.whole_units = motion.actuation.whole_units
         self.connected = True
 
     def command(self, velocity: Velocity) -> Velocity:

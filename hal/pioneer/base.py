@@ -77,6 +77,8 @@ class PioneerBase(Base):
         Whether the sonar rings are switched on.
     """
 
+    whole_units = True
+
     def __init__(
         self,
         url: str,

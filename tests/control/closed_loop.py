@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from visctrl.contracts import Context
-from visctrl.hal.actuation import ActuationOptions
+from visctrl.contracts import Context, Decision, Health
+from visctrl.hal.actuation import ActuationOptions, Limiter
 from visctrl.hal.cameras.central import CentralCamera, load_camera
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.mock.backend import MockBackend, MockOptions
@@ -103,18 +103,24 @@ class Loop:
         backend, outcome = self.backend, Outcome(Pose(0, 0, 0), False, "", 0.0)
         begin = backend.clock.now()
         sent, dt = STANDSTILL, 0.0
+        limiter = Limiter(self.context.limits, whole_units=backend.base.whole_units)
         estimator.reset()
         for tick in range(int(duration / PERIOD)):
             views = self.perception.update(backend.camera.read())
             estimate = estimator.update(views, sent, dt)
-            decision = controller.update(estimate, tick * PERIOD)
+            if estimate.health is Health.LOST:
+                decision = Decision(phase=outcome.phase)
+                limiter.stop()
+            else:
+                decision = controller.update(estimate, sent, dt)
             assert decision.velocity.finite
             assert all(np.isfinite(list(controller.values().values())))
             outcome.finished, outcome.phase = decision.finished, decision.phase
             outcome.duration = tick * PERIOD
             if decision.finished:
                 break
-            sent, dt = backend.base.command(decision.velocity), PERIOD
+            dt = PERIOD
+            sent = backend.base.command(limiter.limit(decision.velocity, PERIOD))
             outcome.sent.append(sent)
             outcome.phases.append(decision.phase)
             outcome.path.append(backend.truth())

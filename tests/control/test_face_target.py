@@ -7,7 +7,9 @@ import pytest
 
 from visctrl.contracts import Context, Health
 from visctrl.geometry.two_view.planar import PlanarMotion
+from visctrl.hal.actuation import Limiter
 from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.types import STANDSTILL
 from visctrl.robots import load_robot
 from visctrl.robots.documents import validate
 from visctrl.robots.errors import InputError
@@ -36,14 +38,16 @@ def seen(bearing: float, health: Health = Health.OK, sd: float = 0.01) -> Planar
 
 
 def turn_until_finished(bearing: float) -> tuple[float, int]:
-    face = controller()
+    face, sent = controller(), STANDSTILL
+    limiter = Limiter(face.context.limits, whole_units=True)
     for tick in range(300):
-        decision = face.update(seen(bearing), tick * PERIOD)
+        decision = face.update(seen(bearing), sent, PERIOD)
         assert decision.velocity.v == 0.0
         if decision.finished:
             return bearing, tick
         # A counter-clockwise turn moves a fixed target clockwise.
-        bearing += decision.velocity.omega * PERIOD
+        sent = limiter.limit(decision.velocity, PERIOD)
+        bearing += sent.omega * PERIOD
     raise AssertionError("the turn never ended")
 
 
@@ -56,26 +60,26 @@ def test_it_turns_to_the_target(degrees: float) -> None:
 
 @pytest.mark.parametrize("degrees", [-100.0, 100.0])
 def test_the_first_turn_goes_the_shorter_way(degrees: float) -> None:
-    omega = controller().update(seen(math.radians(degrees)), 0.0).velocity.omega
+    omega = controller().update(seen(math.radians(degrees)), STANDSTILL, 0.0).velocity.omega
     assert math.copysign(1.0, omega) == math.copysign(1.0, -degrees)
 
 
 def test_a_robot_that_heads_there_does_not_turn() -> None:
-    decision = controller().update(seen(math.radians(11.0)), 0.0)
+    decision = controller().update(seen(math.radians(11.0)), STANDSTILL, 0.0)
     assert decision.finished
     assert decision.velocity == (0.0, 0.0)
 
 
 def test_without_a_baseline_there_is_nothing_to_turn_to() -> None:
-    decision = controller().update(seen(1.0, Health.DEGENERATE, math.inf), 0.0)
+    decision = controller().update(seen(1.0, Health.DEGENERATE, math.inf), STANDSTILL, 0.0)
     assert decision.finished
     assert decision.velocity == (0.0, 0.0)
 
 
 def test_it_stands_while_the_features_are_lost() -> None:
     face = controller()
-    assert face.update(seen(1.0), 0.0).velocity.omega != 0.0
-    decision = face.update(seen(1.0, Health.LOST, math.inf), PERIOD)
+    assert face.update(seen(1.0), STANDSTILL, 0.0).velocity.omega != 0.0
+    decision = face.update(seen(1.0, Health.LOST, math.inf), STANDSTILL, PERIOD)
     assert decision.velocity == (0.0, 0.0)
     assert not decision.finished
 

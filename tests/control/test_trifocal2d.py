@@ -109,5 +109,5 @@ def test_few_and_disagreeing_features_are_named():
 def test_lost_features_stop_the_robot():
     loop, _, good = estimates()
     law = Trifocal2d(Trifocal2dOptions(advance_m=0.0), loop.context)
-    assert law.update(good, 0.0).velocity != STANDSTILL
-    assert law.update(replace(good, health=Health.LOST), 0.1).velocity == STANDSTILL
+    assert law.update(good, STANDSTILL, 0.0).velocity != STANDSTILL
+    assert law.update(replace(good, health=Health.LOST), STANDSTILL, 0.1).velocity == STANDSTILL

@@ -22,11 +22,9 @@ from visctrl.geometry.trifocal.tensor import (
     tensor_from_poses,
 )
 from visctrl.hal.types import STANDSTILL, Velocity
-from visctrl.robots import load_robot
 from visctrl.robots.unicycle import step_exact
-from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.sliding_mode import CosineDescent, switching
-from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
+from visctrl.schemes.termination import Arrival, ArrivalOptions, Divergence, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
 from visctrl.schemes.trifocal.law import Outputs, TrifocalState, decoupled, without_spinning
 from visctrl.schemes.trifocal.law_smc import PUBLISHED, TrifocalSmcOptions
@@ -151,31 +149,6 @@ def test_turning_faster_than_driving_is_bounded():
     assert without_spinning(Velocity(-0.1, -5.0)).omega > -0.5
 
 
-@given(st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
-@settings(max_examples=50)
-def test_rounding_keeps_the_mean(v, omega):
-    """However small against 1 mm/s and 1 deg/s, what was wanted is executed on average."""
-    limits = load_robot("p3dx").operating
-    shaper = CommandShaper(limits, whole_units=True)
-    bounded, factor = shaper.bounded(Velocity(v * 0.01, omega * 0.02))
-    for _ in range(20):
-        shaper.command(bounded, 0.1)
-    sent = [shaper.command(bounded, 0.1) for _ in range(200)]
-    assert factor == 1.0
-    assert np.mean([s.v for s in sent]) == pytest.approx(bounded.v, abs=1e-5)
-    assert np.mean([s.omega for s in sent]) == pytest.approx(bounded.omega, abs=2e-4)
-
-
-def test_bounds_keep_the_curvature():
-    limits = load_robot("p3dx").operating
-    bounded, factor = CommandShaper(limits, whole_units=True).bounded(Velocity(1.0, 0.5))
-    assert bounded.v == pytest.approx(limits.v_m_s)
-    assert bounded.omega / bounded.v == pytest.approx(0.5)
-    assert factor == pytest.approx(limits.v_m_s)
-    ideal = CommandShaper(None, whole_units=True)
-    assert ideal.command(Velocity(9.123456, 9.0), 0.1) == Velocity(9.123456, 9.0)
-
-
 def judge_all(arrival, right, forward, heading, sent=STANDSTILL, ticks=60):
     verdicts = [arrival.judge((right, forward), heading, sent, 0.1) for _ in range(ticks)]
     return set(verdicts), verdicts[-1]
@@ -192,8 +165,25 @@ def test_arrival_by_position_and_heading():
 
 def test_beside_the_target_it_asks_for_room():
     arrival = Arrival(ArrivalOptions())
-    assert judge_all(arrival, 0.1, 0.0, 0.0)[1] is Verdict.BESIDE
-    assert arrival.room_m == pytest.approx(0.6)
+    assert judge_all(arrival, 0.1, 0.0, 0.0, ticks=8)[1] is Verdict.BESIDE
+    assert arrival.has_room(0.601)
+    assert not arrival.has_room(0.599)
+
+
+def test_it_asks_for_no_more_retreats_than_allowed():
+    arrival = Arrival(ArrivalOptions(retreats=1))
+    verdicts = [arrival.judge((0.1, 0.0), 0.0, STANDSTILL, 0.1) for _ in range(60)]
+    assert verdicts.count(Verdict.BESIDE) == 1
+    assert Verdict.THERE not in verdicts
+
+
+def test_a_robot_much_farther_away_than_it_began_is_astray():
+    divergence = Divergence(1.5, 0.5)
+    assert not divergence.astray(1e9), "there is no first distance yet"
+    divergence.begin(2.0)
+    assert not divergence.astray(3.4)
+    assert divergence.astray(3.6)
+    assert not divergence.astray(3.6, unit_m=0.5), "the leeway is in metres"
 
 
 def test_within_tolerance_it_waits_for_the_rest_but_not_for_ever():

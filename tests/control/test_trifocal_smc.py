@@ -153,16 +153,16 @@ def estimates(seed=0):
 
 def test_lost_features_stop_the_robot_and_its_clock():
     law, good = controller(advance_m=0.0), estimates()
-    for tick in range(5):
-        law.update(good, tick * 0.1)
+    for _ in range(5):
+        law.update(good, STANDSTILL, 0.1)
     progress = law.values()["progress"]
     lost = replace(good, health=Health.LOST)
-    decision = law.update(lost, 0.5)
+    decision = law.update(lost, STANDSTILL, 0.1)
     assert decision.velocity == STANDSTILL
     assert not decision.finished
-    for tick in range(20):
-        law.update(lost, 0.6 + tick * 0.1)
-    assert law.update(good, 2.6).phase == "position"
+    for _ in range(20):
+        law.update(lost, STANDSTILL, 0.1)
+    assert law.update(good, STANDSTILL, 0.1).phase == "position"
     assert law.values()["progress"] <= progress + 0.2
 
 
@@ -170,9 +170,9 @@ def test_a_tensor_that_never_comes_stops_the_advance():
     law = controller(advance_m=0.2, advance_m_s=0.2)
     nothing = replace(estimates(), health=Health.DEGENERATE)
     travelled, velocity = 0.0, STANDSTILL
-    for tick in range(60):
+    for _ in range(60):
         travelled += velocity.v * 0.1
-        velocity = law.update(nothing, tick * 0.1).velocity
+        velocity = law.update(nothing, velocity, 0.1).velocity
     assert velocity == STANDSTILL
     assert 0.2 < travelled < 0.5
 
@@ -180,7 +180,7 @@ def test_a_tensor_that_never_comes_stops_the_advance():
 def test_never_finished_by_a_wrong_measurement_elsewhere():
     """Far from the target by its own measurement, the controller never says that it is there."""
     law, far = controller(advance_m=0.0, tau_s=0.5), estimates()
-    assert not any(law.update(far, tick * 0.1).finished for tick in range(300))
+    assert not any(law.update(far, STANDSTILL, 0.1).finished for _ in range(300))
 
 
 def test_the_reference_waits_for_a_robot_at_its_limits():

@@ -105,12 +105,13 @@ def test_lost_and_missing_tensors_stop_the_robot():
     estimator = Tensor(TensorOptions(), loop.context)
     good = estimator.update(loop.perception.update(loop.backend.camera.read()), STANDSTILL, 0.0)
     law = TrifocalSmooth(TrifocalSmoothOptions(), loop.context)
-    assert law.update(good, 0.0).velocity != STANDSTILL
-    assert law.update(replace(good, health=Health.LOST), 0.1).velocity == STANDSTILL
+    assert law.update(good, STANDSTILL, 0.0).velocity != STANDSTILL
+    assert law.update(replace(good, health=Health.LOST), STANDSTILL, 0.1).velocity == STANDSTILL
     nothing, travelled = replace(good, health=Health.DEGENERATE), 0.0
+    velocity = STANDSTILL
     law = TrifocalSmooth(TrifocalSmoothOptions(), loop.context)
-    for tick in range(80):
-        velocity = law.update(nothing, 0.1 * tick).velocity
+    for _ in range(80):
+        velocity = law.update(nothing, velocity, 0.1).velocity
         travelled += 0.1 * velocity.v
     assert velocity == STANDSTILL
     assert 0.2 < travelled < 0.6

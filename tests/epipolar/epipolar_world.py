@@ -136,7 +136,7 @@ def drive(world, estimator: Estimator, controller: Controller, duration: float) 
     for k in range(round(duration / TS)):
         t = k * TS
         estimate = estimator.update(world.views(pose, t), sent, TS)
-        decision = controller.update(estimate, t)
+        decision = controller.update(estimate, sent, TS if k else 0.0)
         estimates.append(estimate)
         sent = decision.velocity
         assert sent.finite

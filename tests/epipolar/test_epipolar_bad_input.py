@@ -53,7 +53,7 @@ def stands_still(world: World) -> str:
         for k in range(8):
             estimate = estimator.update(world.views(world.start, 0.1 * k), STANDSTILL, 0.1)
             assert estimate.health is Health.LOST, estimate.reason
-            assert law.update(estimate, 0.1 * k).velocity == Velocity(0.0, 0.0)
+            assert law.update(estimate, STANDSTILL, 0.1).velocity == Velocity(0.0, 0.0)
         reason = estimate.reason
     return reason
 

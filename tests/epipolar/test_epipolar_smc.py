@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from visctrl.contracts import Decision, Health
+from visctrl.hal.types import STANDSTILL
 from visctrl.robots.unicycle import step_exact
 from visctrl.schemes.epipolar.estimate import EpipoleEstimate, EpipolePair
 from visctrl.schemes.epipolar.gains import bounded_margins, decoupling_margins, depth_margin
@@ -39,7 +40,7 @@ def drive_on_exact_epipoles(start: tuple[float, float, float], **options: float 
     pose = np.array([x, y, math.radians(degrees)])
     first, aligned = pose.copy(), None
     law = EpipolarSmc(EpipolarSmcOptions(**options), context(PERSPECTIVE))
-    inputs = []
+    inputs, velocity = [], STANDSTILL
     for k in range(200):
         t = k * TS
         if aligned is None and t >= 16.0:
@@ -52,7 +53,7 @@ def drive_on_exact_epipoles(start: tuple[float, float, float], **options: float 
             exact_pair(first, TARGET),
             None if aligned is None else exact_pair(aligned, pose),
         )
-        velocity = law.update(estimate, t).velocity
+        velocity = law.update(estimate, velocity, TS if k else 0.0).velocity
         inputs.append(velocity)
         pose = step_exact(pose, velocity.v, velocity.omega, TS)
     return np.array([100 * pose[0], 100 * pose[1], math.degrees(pose[2])]), np.array(inputs)
@@ -99,8 +100,8 @@ def test_the_run_ends_when_the_depth_is_right() -> None:
         pairs = exact_pair(pose, here), exact_pair(start, pose), exact_pair(start, here)
         return EpipoleEstimate(Health.OK, "", *pairs)
 
-    law.update(estimate(start), 0.0)
-    decisions = [law.update(estimate(near), 17.0 + 0.1 * k) for k in range(3)]
+    law.update(estimate(start), STANDSTILL, 0.0)
+    decisions = [law.update(estimate(near), STANDSTILL, dt) for dt in (17.0, 0.1, 0.1)]
     assert [d.finished for d in decisions] == [False, False, True]
 
 
@@ -113,7 +114,7 @@ def test_holds_still_without_epipoles() -> None:
         EpipoleEstimate(Health.LOST, "", lost, lost, lost),
         EpipoleEstimate(Health.DEGENERATE, "", short, short, short),
     ):
-        decision = law.update(estimate, 0.0)
+        decision = law.update(estimate, STANDSTILL, 0.0)
         assert decision == Decision(decision.velocity, "hold")
         assert decision.velocity == (0.0, 0.0)
 

@@ -2,11 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from visctrl.hal.actuation import Actuation, ActuationOptions
+from visctrl.hal.actuation import Actuation, ActuationOptions, Limiter
 from visctrl.hal.types import Velocity
 from visctrl.robots import Limits
 
@@ -102,3 +103,59 @@ def test_a_command_that_is_not_a_number_is_refused(bad: Velocity) -> None:
 def test_slip_leaves_its_share() -> None:
     options = ActuationOptions(slip_v=0.1, slip_omega=-0.2)
     assert options.executed(Velocity(1.0, 1.0)) == pytest.approx((0.9, 1.2))
+
+
+def driven(limiter: Limiter, wanted: Velocity, ticks: int) -> list[Velocity]:
+    sent = []
+    for _ in range(ticks):
+        sent.append(limiter.limit(wanted, 0.1))
+        limiter.was_sent(sent[-1])
+    return sent
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+@settings(max_examples=100)
+def test_rounding_keeps_the_mean(v: float, omega: float) -> None:
+    """However small against 1 mm/s and 1 deg/s, what was wanted is executed on average."""
+    limiter = Limiter(LIMITS, whole_units=True)
+    wanted = Velocity(v * 0.01, omega * 0.06)
+    driven(limiter, wanted, 20)
+    sent = driven(limiter, wanted, 200)
+    assert np.mean([s.v for s in sent]) == pytest.approx(wanted.v, abs=1e-5)
+    assert np.mean([s.omega for s in sent]) == pytest.approx(wanted.omega, abs=2e-4)
+
+
+@given(st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(-5.0, 5.0)), min_size=1), st.booleans())
+def test_bounds_of_speed_and_acceleration_hold(
+    wishes: list[tuple[float, float]], whole: bool
+) -> None:
+    limiter, before = Limiter(LIMITS, whole_units=whole), Velocity(0.0, 0.0)
+    unit = Velocity(1e-3, math.radians(1.0)) if whole else Velocity(0.0, 0.0)
+    for wish in wishes:
+        sent = limiter.limit(Velocity(*wish), 0.1)
+        limiter.was_sent(sent)
+        assert LIMITS.ratio(*sent) <= 1.0 + 1e-9
+        assert abs(sent.v - before.v) <= 0.1 * LIMITS.acceleration_m_s2 + unit.v + 1e-9
+        turn = 0.1 * LIMITS.angular_acceleration_rad_s2
+        assert abs(sent.omega - before.omega) <= turn + unit.omega + 1e-9
+        before = sent
+
+
+def test_bounds_keep_the_curvature() -> None:
+    sent = driven(Limiter(LIMITS, whole_units=False), Velocity(1.0, 0.5), 100)[-1]
+    assert sent.omega / sent.v == pytest.approx(0.5)
+    assert LIMITS.ratio(*sent) == pytest.approx(1.0)
+
+
+def test_an_ideal_base_gets_what_was_wanted() -> None:
+    wild = Velocity(9.123456, 9.0)
+    assert Limiter(None, whole_units=False).limit(wild, 0.1) == wild
+
+
+def test_a_robot_that_was_stopped_ramps_from_standstill_and_owes_nothing() -> None:
+    limiter = Limiter(LIMITS, whole_units=True)
+    driven(limiter, Velocity(0.2003, 0.011), 50)
+    limiter.was_sent(Velocity(0.0, 0.0))
+    fresh = Limiter(LIMITS, whole_units=True)
+    wanted = Velocity(0.3, 0.2)
+    assert driven(limiter, wanted, 20) == driven(fresh, wanted, 20)

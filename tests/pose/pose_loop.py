@@ -85,7 +85,7 @@ def drive(
         )
         decision = Decision()
         if estimate.health is not Health.LOST:
-            decision = controller.update(estimate, t)
+            decision = controller.update(estimate, sent, period if tick else 0.0)
         run.reason, run.time = estimate.reason, t
         if estimate.need is Need.NOTHING:
             error = world.pose - np.array(estimate.pose)

@@ -24,7 +24,7 @@ class Options(StrictModel):
 class Good(Controller):
     Options = Options
     accepts = Estimate
-    def update(self, estimate, t):
+    def update(self, estimate, sent, dt):
         return Decision(finished=True)
 
 class WallOptions(StrictModel):

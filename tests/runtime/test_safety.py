@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from visctrl.contracts import Health
+from visctrl.hal.actuation import Limiter
 from visctrl.hal.errors import StaleFrameError
 from visctrl.hal.types import STANDSTILL, Frame, Velocity
 from visctrl.robots import Limits, load_robot
@@ -25,7 +26,8 @@ speeds = st.floats(-5.0, 5.0)
 
 
 def guard(limits: Limits | None = LIMITS, **options: float) -> Guard:
-    made = Guard(limits, SafetyOptions(**options), PERIOD)
+    limiter = Limiter(limits, whole_units=False)
+    made = Guard(limiter, SafetyOptions(**options), PERIOD)
     made.begin(0.0)
     return made
 

@@ -122,13 +122,14 @@ class ToyController(Controller[ToyOptions, ToyEstimate]):
     #: Set by tests that run on a clock of their own.
     sleep = staticmethod(time.sleep)
 
-    left = 0.0
+    t = left = 0.0
     done = False
 
-    def update(self, estimate: ToyEstimate, t: float) -> Decision:
+    def update(self, estimate: ToyEstimate, sent: Velocity, dt: float) -> Decision:
         assert estimate.health is not Health.LOST
-        self.left = self.options.drive_s - t
-        if self.options.at_s is not None and t > self.options.at_s - 1e-9 and not self.done:
+        self.t += dt
+        self.left = self.options.drive_s - self.t
+        if self.options.at_s is not None and self.t > self.options.at_s - 1e-9 and not self.done:
             self.done = True
             if (decision := self._trouble()) is not None:
                 return decision
@@ -166,7 +167,10 @@ class ToyApproach(Controller[ToyApproachOptions, ToyEstimate]):
     Options: ClassVar[type[ToyApproachOptions]] = ToyApproachOptions
     accepts = ToyEstimate
 
-    def update(self, estimate: ToyEstimate, t: float) -> Decision:
-        if t < self.options.turn_s - 1e-9:
+    t = 0.0
+
+    def update(self, estimate: ToyEstimate, sent: Velocity, dt: float) -> Decision:
+        self.t += dt
+        if self.t < self.options.turn_s - 1e-9:
             return Decision(Velocity(0.0, 0.2), "turn")
         return Decision(phase="faced", finished=True)

@@ -7,6 +7,7 @@ import signal
 from typing import ClassVar
 
 from visctrl.contracts import Controller, Decision, Estimate
+from visctrl.hal.types import Velocity
 from visctrl.robots.documents import StrictModel
 
 
@@ -20,7 +21,7 @@ class Killer(Controller[KillerOptions, Estimate]):
     Options: ClassVar[type[KillerOptions]] = KillerOptions
     accepts: ClassVar[type[Estimate]] = Estimate
 
-    def update(self, estimate: Estimate, t: float) -> Decision:
+    def update(self, estimate: Estimate, sent: Velocity, dt: float) -> Decision:
         if self.options.number:
             os.kill(os.getpid(), signal.Signals(self.options.number))
         return Decision(finished=True)

@@ -268,7 +268,7 @@ class Loop:
         """Ask the controller, whose time stands still while the robot is held."""
         now = self._backend.clock.now()
         if turn.steered and not turn.held:
-            turn.control_time += tick.dt
+            turn.acted_s += tick.dt
         turn.held = self._guard.must_hold(estimate.health, estimate.reason, now)
         turn.steered = True
         stage = turn.stage
@@ -279,9 +279,10 @@ class Loop:
         if stage.obstacles:
             stage.controller.sense(self._obstacles(stage, estimate, now))
         try:
-            turn.decision = stage.controller.update(estimate, turn.control_time)
+            turn.decision = stage.controller.update(estimate, turn.steering, turn.acted_s)
         except Exception as error:
             raise PluginError(f"controller '{stage.controller_name}'", error) from error
+        turn.steering, turn.acted_s = STANDSTILL, 0.0
 
     def _obstacles(self, stage: Stage, estimate: Estimate, now: float) -> list[Obstacle]:
         """Ask the obstacle providers."""
@@ -301,6 +302,8 @@ class Loop:
             turn.held = True
             turn.event = turn.event or "held: the frame grew old while it was worked on"
         turn.sent = self._send(self._permitted(wanted, turn, now))
+        if not turn.held:
+            turn.steering = turn.sent
         self.moved = self.moved or turn.sent != STANDSTILL
 
     def _permitted(self, wanted: Velocity, turn: _Turn, now: float) -> Velocity | None:
@@ -316,7 +319,7 @@ class Loop:
     def _withdraw_old_command(self, turn: _Turn) -> None:
         """Stop a robot whose last command has grown old while a plugin was at work."""
         if self._guard.expired(self._backend.clock.now()):
-            turn.sent = self._send(None)
+            turn.sent = turn.steering = self._send(None)
             turn.event = "stopped: the command in force was too old"
 
     def _signals(
@@ -350,7 +353,7 @@ class _Turn:
     reporting : the plugins whose signals are read.
     sent : velocity that the base was last told.
     held : the robot is kept at a standstill for want of features.
-    control_time : the controller's time (s): that of the stage without the time held.
+    steering : what was sent for the controller's last decision; acted_s : for how long (s).
     event : what safety did in this tick.
     seconds : duration of the tick's parts so far.
     """
@@ -362,7 +365,8 @@ class _Turn:
         self.decision = Decision()
         self.held = False
         self.steered = False
-        self.control_time = 0.0
+        self.steering: Velocity = STANDSTILL
+        self.acted_s = 0.0
         self.event = ""
         self.seconds: list[float] = []
         self._mark = 0.0

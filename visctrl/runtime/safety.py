@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from visctrl.contracts import Health
-from visctrl.hal.actuation import towards
+from visctrl.hal.actuation import Limiter
 from visctrl.hal.errors import StaleFrameError
 from visctrl.hal.types import STANDSTILL, Frame, Velocity
 from visctrl.robots import Limits, Robot
@@ -81,16 +81,16 @@ class Guard:
 
     Parameters
     ----------
-    limits : Limits or None
-        Bounds of speed and acceleration; None for an ideal base.
+    limiter : Limiter
+        Makes of a velocity what the base can execute.
     options : SafetyOptions
         Ages and timeouts.
     period : float
         Nominal tick (s): the time that the first command's ramp counts on.
     """
 
-    def __init__(self, limits: Limits | None, options: SafetyOptions, period: float) -> None:
-        self._limits = limits
+    def __init__(self, limiter: Limiter, options: SafetyOptions, period: float) -> None:
+        self._limiter = limiter
         self._options = options
         self._period = period
         self._sent = STANDSTILL
@@ -104,6 +104,7 @@ class Guard:
 
     def begin(self, now: float) -> None:
         """Start a stage: the robot stands, and features count as seen now."""
+        self._limiter.stop()
         self._sent = STANDSTILL
         self._sent_at = None
         self._seen_at = now
@@ -149,10 +150,7 @@ class Guard:
         return True
 
     def permit(self, wanted: Velocity, now: float) -> Velocity:
-        """Return what may be sent in place of ``wanted``: bounded in speed and in its change.
-
-        Speeds are scaled together, which keeps the curvature; each of v and ω then moves from
-        the last command no faster than its acceleration bound allows.
+        """Return what may be sent in place of ``wanted`` (see `Limiter`).
 
         Raises
         ------
@@ -161,20 +159,12 @@ class Guard:
         """
         if not wanted.finite:
             raise UnsafeCommandError(f"velocity is not finite: v {wanted.v}, omega {wanted.omega}")
-        limits = self._limits
-        if limits is None:
-            return wanted
-        excess = max(1.0, limits.ratio(*wanted))
         dt = self._period if self._sent_at is None else now - self._sent_at
-        return Velocity(
-            towards(self._sent.v, wanted.v / excess, limits.acceleration_m_s2 * dt),
-            towards(
-                self._sent.omega, wanted.omega / excess, limits.angular_acceleration_rad_s2 * dt
-            ),
-        )
+        return self._limiter.limit(wanted, dt)
 
     def was_sent(self, sent: Velocity, now: float) -> None:
         """Note what the base was told."""
+        self._limiter.was_sent(sent)
         self._sent = sent
         self._sent_at = now
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from visctrl.contracts import Context, Perception, Plugin
+from visctrl.hal.actuation import Limiter
 from visctrl.hal.errors import DeviceError
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Pose
@@ -177,11 +178,12 @@ class _Session:
         self._take_target(backend, perception)
         self._take_initial(backend, perception)
         self._start_recording(stages, perception, backend.clock.lockstep)
+        limiter = Limiter(plan.limits, whole_units=backend.base.whole_units)
         loop = Loop(
             backend,
             perception,
             plan.perception.name,
-            Guard(plan.limits, scenario.safety, plan.period_s),
+            Guard(limiter, scenario.safety, plan.period_s),
             plan.period_s,
             self._interrupts,
             self._observers,

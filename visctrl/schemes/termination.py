@@ -49,20 +49,28 @@ class Arrival:
 
     Forward error and heading can still be closed on the spot, so it waits until they are within
     tolerance and then until the measurement shows none (or `PATIENCE_S`). A lateral error
-    cannot: the robot has to come again.
+    cannot: the robot has to back up and come again, as often as the options allow.
     """
 
     def __init__(self, options: ArrivalOptions) -> None:
         self._options = options
-        self._recent: deque[tuple[float, float, float]] = deque(maxlen=options.steady_ticks)
-        self._waited = 0.0
+        #: How often the robot has been told to come again.
+        self.retreats = 0
         self._lateral = 0.0
+        self.restart()
 
-    @property
-    def room_m(self) -> float:
-        """How far to back up (m) so that the way back to the target is not too steep."""
+    def restart(self) -> None:
+        """Begin to watch: the robot comes (again)."""
+        self._recent: deque[tuple[float, float, float]] = deque(maxlen=self._options.steady_ticks)
+        self._waited = 0.0
+
+    def has_room(self, forward_m: float) -> bool:
+        """Return whether a robot that backs up is far enough from the target to come again.
+
+        It is where the way back is not too steep for the lateral error to close.
+        """
         least = self._options.retreat_m
-        return min(max(least, 6.0 * abs(self._lateral)), 3.0 * least)
+        return forward_m >= min(max(least, 6.0 * abs(self._lateral)), 3.0 * least)
 
     def judge(
         self, position: tuple[float, float], heading: float, sent: Velocity, dt: float
@@ -72,6 +80,8 @@ class Arrival:
         position : the target, (right, forward) of the robot (m).
         heading : of the robot in the target's frame (rad).
         sent : what the robot was told last; dt : for how long (s).
+
+        After `Verdict.BESIDE` it is to back up until it `has_room`.
         """
         if abs(sent.v) > STANDING.v or abs(sent.omega) > STANDING.omega:
             self._recent.clear()
@@ -92,7 +102,43 @@ class Arrival:
         if not settled and self._waited < PATIENCE_S:
             return Verdict.UNDER_WAY
         self._lateral = right
-        return Verdict.THERE if abs(right) <= self._options.tolerance_m else Verdict.BESIDE
+        if abs(right) <= self._options.tolerance_m:
+            return Verdict.THERE
+        if self.retreats >= self._options.retreats:
+            return Verdict.UNDER_WAY
+        self.retreats += 1
+        return Verdict.BESIDE
+
+
+class Divergence:
+    """Whether a robot has got much farther from its target than it began.
+
+    No law does that on purpose: what it measures or is told must be far from the truth.
+
+    Parameters
+    ----------
+    factor, leeway_m : float
+        So many times the first distance, and so much farther, is too far.
+    """
+
+    def __init__(self, factor: float, leeway_m: float) -> None:
+        self._factor, self._leeway_m = factor, leeway_m
+        self._first: float | None = None
+
+    def begin(self, distance: float) -> None:
+        """Take a distance, in any unit, as the first one."""
+        self._first = distance
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a first distance."""
+        return self._first is not None
+
+    def astray(self, distance: float, unit_m: float = 1.0) -> bool:
+        """Return whether a distance is too far; ``unit_m`` is its unit as known now (m)."""
+        if self._first is None:
+            return False
+        return distance > self._factor * self._first + self._leeway_m / unit_m
 
 
 def _floor(mean: float, tolerance: float, column: tuple[float, ...]) -> float:

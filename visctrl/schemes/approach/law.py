@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 from visctrl.contracts import Context, Controller, Decision, Estimate, Health, Signal
 from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.robots.documents import StrictModel
-from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.trifocal.estimate import PlanarMotionEstimate
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -57,32 +56,26 @@ class FaceTarget(Controller[FaceTargetOptions, PlanarMotionEstimate]):
 
     def __init__(self, options: FaceTargetOptions, context: Context) -> None:
         super().__init__(options, context)
-        self._shaper = CommandShaper(context.limits, whole_units=True)
         self._bearing: float | None = None
-        self._last_t: float | None = None
-        self._sent = STANDSTILL
         self._steady = 0
 
-    def update(self, estimate: PlanarMotionEstimate, t: float) -> Decision:
-        """Return the turning rate for the target's bearing at ``t`` seconds since the start."""
-        dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
-        self._last_t = t
+    def update(self, estimate: PlanarMotionEstimate, sent: Velocity, dt: float) -> Decision:
+        """Return the turning rate for the target's bearing; ``sent`` has acted for ``dt`` (s)."""
         if estimate.health is not Health.OK:
             return self._without_bearing(estimate)
         turning = self._bearing is not None
-        bearing = self._unwrapped(estimate.bearing, dt)
+        bearing = self._unwrapped(estimate.bearing, sent.omega * dt)
         if not turning and abs(bearing) <= math.radians(self.options.start_deg):
             return Decision(STANDSTILL, "facing", finished=True)
         aligned = abs(bearing) <= math.radians(self.options.end_deg)
-        standing = abs(self._sent.omega) <= STANDING
+        standing = abs(sent.omega) <= STANDING
         self._steady = self._steady + 1 if aligned and standing else 0
         if self._steady >= self.options.steady_ticks:
-            return Decision(self._shaper.stop(), "facing", finished=True)
+            return Decision(STANDSTILL, "facing", finished=True)
         # A bearing is clockwise, a turning rate counter-clockwise.
         bound = math.radians(self.options.omega_deg_s)
         omega = max(-bound, min(bound, -self.options.gain_s * bearing))
-        self._sent = self._shaper.command(Velocity(0.0, omega), dt)
-        return Decision(self._sent, "turn")
+        return Decision(Velocity(0.0, omega), "turn")
 
     def values(self) -> Mapping[str, float]:
         """Return the bearing that is being closed."""
@@ -90,15 +83,17 @@ class FaceTarget(Controller[FaceTargetOptions, PlanarMotionEstimate]):
 
     def _without_bearing(self, estimate: PlanarMotionEstimate) -> Decision:
         """Stand; finish where the robot has not turned and the views differ by a turn at most."""
-        self._sent = self._shaper.stop()
         if estimate.health is Health.LOST:
             return Decision(STANDSTILL, "hold")
         return Decision(STANDSTILL, "at the target", finished=self._bearing is None)
 
-    def _unwrapped(self, bearing: float, dt: float) -> float:
-        """Return ``bearing`` plus the whole turns that bring it nearest to the expected one."""
+    def _unwrapped(self, bearing: float, turned: float) -> float:
+        """Return ``bearing`` plus the whole turns that bring it nearest to the expected one.
+
+        turned : how far the robot was told to turn since the last one (rad).
+        """
         if self._bearing is not None:
-            expected = self._bearing + self._sent.omega * dt
+            expected = self._bearing + turned
             bearing += 2.0 * math.pi * round((expected - bearing) / (2.0 * math.pi))
         self._bearing = bearing
         return bearing

@@ -99,7 +99,8 @@ class EpipolarSmc(Controller[EpipolarSmcOptions, EpipoleEstimate]):
         super().__init__(options, context)
         self._start: _Start | None = None
         self._integral = 0.0
-        self._last_t: float | None = None
+        self._t = 0.0
+        self._approaching = False
         self._below = 0
         self._values: dict[str, float] = {}
 
@@ -107,8 +108,10 @@ class EpipolarSmc(Controller[EpipolarSmcOptions, EpipoleEstimate]):
         """Return the references, the surfaces and the margins of the gain conditions."""
         return self._values
 
-    def update(self, estimate: EpipoleEstimate, t: float) -> Decision:
-        """Return the velocity for an estimate at ``t`` seconds since the start."""
+    def update(self, estimate: EpipoleEstimate, sent: Velocity, dt: float) -> Decision:
+        """Return the velocity for an estimate; its time is the sum of ``dt`` (s)."""
+        self._t += dt
+        t = self._t
         self._values = {}
         target = estimate.current_target
         if estimate.health is Health.LOST or target is None or target.health is Health.LOST:
@@ -119,7 +122,7 @@ class EpipolarSmc(Controller[EpipolarSmcOptions, EpipoleEstimate]):
             self._start = self._begin(target)
         if t <= self.options.align_fraction * self.options.duration_s:
             return self._align(self._start, estimate, target, t)
-        return self._approach(self._start, estimate, target, t)
+        return self._approach(self._start, estimate, target, dt)
 
     # --- step 1 -----------------------------------------------------------------------------
 
@@ -165,18 +168,18 @@ class EpipolarSmc(Controller[EpipolarSmcOptions, EpipoleEstimate]):
     # --- step 2 -----------------------------------------------------------------------------
 
     def _approach(
-        self, start: _Start, estimate: EpipoleEstimate, target: EpipolePair, t: float
+        self, start: _Start, estimate: EpipoleEstimate, target: EpipolePair, dt: float
     ) -> Decision:
         o = self.options
-        over = t >= o.duration_s
+        over = self._t >= o.duration_s
         omega = -o.k_omega_rad_s * _sign(self._alignment(target, estimate.aligned_current))
         initial, fixed = estimate.initial_current, estimate.initial_target
         if initial is None or fixed is None or not initial.usable(o.unusable_sd_rad):
             return Decision(STANDSTILL, "hold", over)
         error = initial.epipole_a - fixed.epipole_a
-        if self._last_t is not None:
-            self._integral += error * (t - self._last_t)
-        self._last_t = t
+        if self._approaching:
+            self._integral += error * dt
+        self._approaching = True
         s = o.k0 * self._integral + error
         wanted = -o.k0 * error - (o.k1 * _sign(s) if o.sliding else 0.0)
         lever = math.cos(initial.bearing_a) ** 2 / _away_from_zero(

@@ -22,10 +22,9 @@ from pydantic import Field
 
 from visctrl.contracts import Context, Controller, Decision, Health, Signal
 from visctrl.hal.cameras.central import CentralCamera
-from visctrl.hal.types import Velocity
+from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import wrap_angle
-from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.epipolar.estimate import EpipoleEstimate, Location
 from visctrl.schemes.epipolar.manoeuvre import Manoeuvre, ManoeuvreOptions, Polar, polar
 
@@ -63,7 +62,6 @@ class EpipolarSmoothOptions(StrictModel):
         0.6 of half the field of view).
     tolerance_m, tolerance_deg : without a duration, the task ends when the estimated error stays
         below these while the robot hardly moves, for ``steady_ticks``.
-    whole_units : commands in whole mm/s and deg/s, the remainders carried on (a limited base).
     manoeuvre : the preliminary manoeuvre.
     """
 
@@ -79,7 +77,6 @@ class EpipolarSmoothOptions(StrictModel):
     tolerance_m: Positive = 0.005
     tolerance_deg: Positive = 0.5
     steady_ticks: Annotated[int, Field(ge=1)] = 10
-    whole_units: bool = True
     manoeuvre: ManoeuvreOptions = ManoeuvreOptions()
 
 
@@ -103,22 +100,21 @@ class EpipolarSmooth(Controller[EpipolarSmoothOptions, EpipoleEstimate]):
         self._manoeuvre: Manoeuvre | None = None
         self._begun: float | None = None
         self._steady = 0
-        self._last_t: float | None = None
-        self._shaper = CommandShaper(context.limits, whole_units=options.whole_units)
+        self._t = 0.0
         self._values: dict[str, float] = {}
 
     def values(self) -> Mapping[str, float]:
         """Return the polar coordinates and the heading error."""
         return self._values
 
-    def update(self, estimate: EpipoleEstimate, t: float) -> Decision:
-        """Return the velocity for an estimate at ``t`` seconds since the start."""
-        dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
-        self._last_t = t
+    def update(self, estimate: EpipoleEstimate, sent: Velocity, dt: float) -> Decision:
+        """Return the velocity for an estimate; its time is the sum of ``dt`` (s)."""
+        self._t += dt
+        t = self._t
         self._values = {}
         location = estimate.location
         if estimate.health is Health.LOST or location is None:
-            return Decision(self._shaper.stop(), "hold")
+            return Decision(STANDSTILL, "hold")
         now = polar(location, self.context.camera_forward_m)
         self._values |= {"distance": now.rho / self._inverse_distance(location), "psi": now.psi}
         if self._manoeuvre is None:
@@ -127,12 +123,11 @@ class EpipolarSmooth(Controller[EpipolarSmoothOptions, EpipoleEstimate]):
             velocity = self._manoeuvre.update(now, self._inverse_distance(location))
             if not self._manoeuvre.done:
                 phase = f"manoeuvre-{self._manoeuvre.kind}"
-                return Decision(self._shaper.command(velocity, dt), phase)
+                return Decision(velocity, phase)
         self._begun = t if self._begun is None else self._begun
         wanted = self._approach(location, now, t - self._begun, self._begun)
         over = self._over(location, now, wanted, t)
-        velocity = self._shaper.stop() if over else self._shaper.command(wanted, dt)
-        return Decision(velocity, "approach", over)
+        return Decision(STANDSTILL if over else wanted, "approach", over)
 
     def _approach(self, location: Location, now: Polar, t: float, begun: float) -> Velocity:
         """Return the velocity ``t`` seconds into the approach, which began at ``begun``."""

@@ -125,9 +125,9 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         """Keep what stands around for the next `update`."""
         self._avoidance.sense(obstacles)
 
-    def update(self, estimate: PoseEstimate, t: float) -> Decision:
-        """Return the velocity for an estimate at ``t`` seconds since this controller started."""
-        dt, self._t = t - self._t, t
+    def update(self, estimate: PoseEstimate, sent: Velocity, dt: float) -> Decision:
+        """Return the velocity for an estimate; its time is the sum of ``dt`` (s)."""
+        self._t += dt
         if estimate.need is Need.STILL:
             return Decision(STANDSTILL, "stand")
         if estimate.need is Need.FORWARD:
@@ -278,7 +278,7 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
         self._task_time += waited
         arrived = stage.time >= stage.tau
         velocity = Velocity(stage.pace * ahead.v + back.v, stage.pace * ahead.omega + back.omega)
-        return Decision(self._bounded(velocity), "settle" if arrived else "path")
+        return Decision(velocity, "settle" if arrived else "path")
 
     def _law(self, stage: Stage, path: ParabolicPath, pose: Pose) -> tuple[Velocity, Velocity]:
         """Return (4.21) in two parts: what follows the path, and what corrects the position."""
@@ -302,23 +302,20 @@ class PoseTracking(Controller[PoseTrackingOptions, PoseEstimate]):
 
         The other way, a robot that is not fast enough would cut the path's corners.
         """
-        limits = self.context.limits
-        if limits is None or limits.ratio(ahead.v + back.v, ahead.omega + back.omega) <= 1.0:
+        if self._feasible(ahead, back, 1.0):
             return 1.0
         low, high = 0.0, 1.0
         while high - low > _PACE_STEP:
             pace = (low + high) / 2.0
-            if limits.ratio(pace * ahead.v + back.v, pace * ahead.omega + back.omega) <= 1.0:
+            if self._feasible(ahead, back, pace):
                 low = pace
             else:
                 high = pace
         return low
 
-    def _bounded(self, velocity: Velocity) -> Velocity:
-        """Return a correction within the limits, where it alone exceeds them."""
-        limits = self.context.limits
-        excess = 1.0 if limits is None else max(1.0, limits.ratio(*velocity))
-        return Velocity(velocity.v / excess, velocity.omega / excess)
+    def _feasible(self, ahead: Velocity, back: Velocity, pace: float) -> bool:
+        wanted = Velocity(pace * ahead.v + back.v, pace * ahead.omega + back.omega)
+        return self.context.slowdown(wanted) == 1.0
 
     def _at_goal(self, estimate: PoseEstimate, dt: float) -> Decision:
         """Correct the heading on the spot, which moves the camera by millimetres, and finish."""

@@ -11,9 +11,8 @@ from pydantic import Field
 from visctrl.contracts import Context, Controller, Decision, Estimate, Health, Signal
 from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.robots import Limits
-from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.sliding_mode import CosineDescent
-from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
+from visctrl.schemes.termination import Arrival, ArrivalOptions, Divergence, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
 from visctrl.schemes.trifocal.law import (
     Gains,
@@ -57,7 +56,6 @@ class TrifocalSmcOptions(ArrivalOptions):
         ``practical`` where φ1 is known.
     finish : step 2 ends by ``threshold`` (position and heading within tolerance, standing) or
         by ``time`` (after ``orientation_s``, 6/λω if left out).
-    whole_units : round to whole mm/s and deg/s, carrying the remainder.
     """
 
     law: Literal["practical", "published"] = "practical"
@@ -77,7 +75,6 @@ class TrifocalSmcOptions(ArrivalOptions):
     lambda_omega: Positive | None = None
     finish: Literal["threshold", "time"] = "threshold"
     orientation_s: Positive | None = None
-    whole_units: bool = True
 
     def gains(self) -> Gains:
         """Return the gains of the law, with those given here in their place."""
@@ -105,24 +102,20 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         super().__init__(options, context)
         self._gains = options.gains()
         self._published = options.law == "published"
-        self._shaper = CommandShaper(context.limits, whole_units=options.whole_units)
         self._phase = "advance"
-        self._last_t: float | None = None
-        self._sent = STANDSTILL
         self._advanced = 0.0
-        self._retreats = 0
+        self._arrival = Arrival(options)
+        self._divergence = Divergence(ASTRAY, LEEWAY_M)
         self._values: dict[str, float] = {}
-        self._begin_position(None)
+        self._progress = self._waited = 0.0
 
-    def update(self, estimate: TensorEstimate, t: float) -> Decision:
-        """Return the velocity for an estimate at ``t`` seconds since the start."""
-        dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
-        self._last_t = t
+    def update(self, estimate: TensorEstimate, sent: Velocity, dt: float) -> Decision:
+        """Return the velocity for an estimate; what was ``sent`` has acted for ``dt`` (s)."""
         self._values = {}
         if estimate.health is Health.LOST:
             return self._hold()
         if self._phase == "advance" and not self._starts_there(estimate):
-            decision = self._advance(estimate, dt)
+            decision = self._advance(estimate, sent, dt)
             if decision is not None:
                 return decision
         if estimate.health is not Health.OK:
@@ -130,8 +123,8 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         seen = TrifocalState.of(estimate, self.context.camera_forward_m)
         self._values = {"determinant": seen.determinant}
         if self._phase == "advance":
-            self._begin_position(seen, estimate.scale_sd_m)
-        if self._astray(seen):
+            self._begin_position(seen, estimate.scale_sd_m, sent.v)
+        if self._divergence.astray(math.hypot(seen.right, seen.forward), seen.scale):
             return self._hold()
         if self._phase == "position":
             wanted = self._position(seen, dt)
@@ -139,22 +132,17 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             wanted = self._retreat(seen)
         else:
             wanted = self._orientation(seen, dt)
-            if self._finished(seen, dt):
-                return Decision(self._shaper.stop(), self._phase, finished=True)
-        return self._command(wanted, dt)
+            if self._finished(seen, sent, dt):
+                return Decision(STANDSTILL, self._phase, finished=True)
+        return Decision(wanted, self._phase)
 
     def values(self) -> Mapping[str, float]:
         """Return references, errors and the clock of step 1."""
         return self._values
 
-    def _command(self, wanted: Velocity, dt: float) -> Decision:
-        self._sent = self._shaper.command(wanted, dt)
-        return Decision(self._sent, self._phase)
-
     def _hold(self) -> Decision:
         """Stand still; the reference's clock stands still with the robot."""
-        self._sent = self._shaper.stop()
-        return Decision(self._sent, self._phase)
+        return Decision(STANDSTILL, self._phase)
 
     def _starts_there(self, estimate: TensorEstimate) -> bool:
         """Return whether nothing but a turn is left to do, and go on to that."""
@@ -163,48 +151,34 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             self._phase = "orientation"
         return there
 
-    def _astray(self, seen: TrifocalState) -> bool:
-        """Return whether the robot has got much farther from the target than it began.
-
-        No law does that on purpose: its gains, φ1 or scale must be far from the truth.
-        """
-        start = math.hypot(*self._from)
-        if start == 0.0:
-            return False
-        limit = ASTRAY * start + LEEWAY_M / seen.scale
-        return math.hypot(seen.right, seen.forward) > limit
-
-    def _advance(self, estimate: TensorEstimate, dt: float) -> Decision | None:
+    def _advance(self, estimate: TensorEstimate, sent: Velocity, dt: float) -> Decision | None:
         """Return the next command of the straight leg, None when it is done."""
-        self._advanced += self._sent.v * dt
+        self._advanced += sent.v * dt
         left = self.options.advance_m - self._advanced
         if left <= 1e-9 and estimate.health is Health.OK:
             return None
         if left <= -self.options.advance_m:
             # Twice the leg and still no tensor: going on blindly is no remedy.
             return self._hold()
-        return self._command(Velocity(self.options.advance_m_s, 0.0), dt)
+        return Decision(Velocity(self.options.advance_m_s, 0.0), self._phase)
 
-    def _begin_position(self, seen: TrifocalState | None, scale_sd: float = math.inf) -> None:
-        self._progress = 0.0
-        self._waited = 0.0
-        self._arrival = Arrival(self.options)
-        self._reference = CosineDescent(1.0)
-        if seen is None:
-            self._from, self._power = (0.0, 0.0), 1.0
-            return
+    def _begin_position(self, seen: TrifocalState, scale_sd: float, speed: float) -> None:
         self._phase = "position"
+        self._progress = self._waited = 0.0
+        self._arrival.restart()
         self._from = (seen.right, seen.forward)
         # Without φ1 nobody knows which output is the lateral one: both then fall alike.
         alike = self._published or not math.isfinite(seen.phi_1_sd)
         self._power = self.options.lateral_power or (1.0 if alike else 3.0)
+        away = math.hypot(*self._from)
+        self._divergence.begin(away)
         self._reference = descent(
             self.options,
             self.context.limits,
-            speed=self._sent.v,
-            distance=seen.scale * math.hypot(seen.right, seen.forward),
+            speed=speed,
+            distance=seen.scale * away,
             doubt=scale_sd / seen.scale,
-            again=self._retreats > 0,
+            again=self._arrival.retreats > 0,
         )
 
     def _position(self, seen: TrifocalState, dt: float) -> Velocity:
@@ -227,8 +201,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         if not self._published:
             wanted = without_spinning(wanted)
         # Where the robot is held back by its limits, the reference waits for it.
-        _, factor = self._shaper.bounded(wanted)
-        self._progress += dt * (1.0 if self._published else factor)
+        self._progress += dt * (1.0 if self._published else self.context.slowdown(wanted))
         if self._progress >= self._reference.duration:
             self._waited += dt
             near = abs(seen.forward) * seen.scale < self.options.tolerance_m
@@ -255,24 +228,22 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             return orientation_step(seen, self._gains)
         return settling_step(seen, self._gains)
 
-    def _finished(self, seen: TrifocalState, dt: float) -> bool:
+    def _finished(self, seen: TrifocalState, sent: Velocity, dt: float) -> bool:
         """Return whether the robot's own measurements say that it is there (or time is up)."""
         options = self.options
         if options.finish == "time":
             duration = options.orientation_s or 6.0 / self._gains.lambda_omega
             return self._waited >= duration
         place = seen.right * seen.scale, seen.forward * seen.scale
-        verdict = self._arrival.judge(place, seen.heading, self._sent, dt)
-        if verdict is Verdict.BESIDE and self._retreats < options.retreats:
-            self._retreats += 1
+        verdict = self._arrival.judge(place, seen.heading, sent, dt)
+        if verdict is Verdict.BESIDE:
             self._phase = "retreat"
         return verdict is Verdict.THERE
 
     def _retreat(self, seen: TrifocalState) -> Velocity:
         """Return the velocity straight back; step 1 begins again from there."""
-        if seen.forward * seen.scale >= self._arrival.room_m:
-            self._sent = STANDSTILL
-            self._begin_position(seen, 0.0)
+        if self._arrival.has_room(seen.forward * seen.scale):
+            self._begin_position(seen, scale_sd=0.0, speed=0.0)
             return STANDSTILL
         return Velocity(-self.options.advance_m_s, 0.0)
 

@@ -27,8 +27,7 @@ from pydantic import Field
 
 from visctrl.contracts import Context, Controller, Decision, Estimate, Health, Signal
 from visctrl.hal.types import STANDSTILL, Velocity
-from visctrl.schemes.command_shaping import CommandShaper
-from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
+from visctrl.schemes.termination import Arrival, ArrivalOptions, Divergence, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
 from visctrl.schemes.trifocal.law import TrifocalState
 
@@ -71,7 +70,6 @@ class TrifocalSmoothOptions(ArrivalOptions):
     straight_m : on this last part of the way the heading wanted is bounded in proportion to what
         is left, so that the robot arrives aligned even if not quite on the path.
     settle_m : from this distance on, forward error and heading are closed separately.
-    whole_units : round to whole mm/s and deg/s, carrying the remainder.
     """
 
     power: Annotated[float, Field(ge=1.0, le=4.0)] = 3.0
@@ -79,7 +77,6 @@ class TrifocalSmoothOptions(ArrivalOptions):
     lambda_omega: Positive = 1.8
     straight_m: Positive = 0.4
     settle_m: Positive = 0.01
-    whole_units: bool = True
 
 
 class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
@@ -96,70 +93,58 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
 
     def __init__(self, options: TrifocalSmoothOptions, context: Context) -> None:
         super().__init__(options, context)
-        self._shaper = CommandShaper(context.limits, whole_units=options.whole_units)
         self._arrival = Arrival(options)
         self._phase = "approach"
-        self._last_t: float | None = None
-        self._sent = STANDSTILL
         self._blind = 0.0
         self._driven = 0.0
-        self._start: float | None = None
+        self._divergence = Divergence(_ASTRAY, _LEEWAY_M)
         self._leg_start: tuple[float, float] | None = None
         self._phi_1: float | None = None
-        self._retreats = 0
         self._values: dict[str, float] = {}
 
-    def update(self, estimate: TensorEstimate, t: float) -> Decision:
-        """Return the velocity for an estimate at ``t`` seconds since the start."""
-        dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
-        self._last_t = t
+    def update(self, estimate: TensorEstimate, sent: Velocity, dt: float) -> Decision:
+        """Return the velocity for an estimate; what was ``sent`` has acted for ``dt`` (s)."""
         self._values = {}
-        if estimate.health is Health.DEGENERATE and self._start is None:
-            return self._go_blindly(dt)
+        if estimate.health is Health.DEGENERATE and not self._divergence.begun:
+            return self._go_blindly(sent, dt)
         if estimate.health is not Health.OK:
-            return self._hold()
-        self._driven += abs(self._sent.v) * dt
+            return Decision(STANDSTILL, self._phase)
+        self._driven += abs(sent.v) * dt
         if not math.isfinite(estimate.phi_1_sd):
             estimate, ready = self._with_phi_1(estimate)
             if not ready:
-                self._sent = self._shaper.command(Velocity(_BLIND_SPEED, 0.0), dt)
-                return Decision(self._sent, "advance")
+                return Decision(Velocity(_BLIND_SPEED, 0.0), "advance")
         seen = TrifocalState.of(estimate, self.context.camera_forward_m)
         distance = seen.scale * math.hypot(seen.right, seen.forward)
         sure = estimate.scale_sd_m < _KNOWN_SCALE * seen.scale
         known = sure or self._driven > _LONGEST_WAIT_M
-        if self._start is None and known:
-            self._start = distance
-        if self._start is not None and distance > _ASTRAY * self._start + _LEEWAY_M:
-            return self._hold()
-        if self._start is None and float(np.hypot(*estimate.outputs)) < _THERE:
-            self._start, self._phase = distance, "settling"
+        if known and not self._divergence.begun:
+            self._divergence.begin(distance)
+        if self._divergence.astray(distance):
+            return Decision(STANDSTILL, self._phase)
+        if not self._divergence.begun and float(np.hypot(*estimate.outputs)) < _THERE:
+            self._divergence.begin(distance)
+            self._phase = "settling"
         if self._phase == "approach":
             wanted = self._approach(seen, known)
         elif self._phase == "settling":
             wanted = self._settle(seen)
-            if self._arrived(seen, dt):
-                return Decision(self._shaper.stop(), self._phase, finished=True)
+            if self._arrived(seen, sent, dt):
+                return Decision(STANDSTILL, self._phase, finished=True)
         else:
             wanted = self._retreat(seen)
-        self._sent = self._shaper.command(wanted, dt)
-        return Decision(self._sent, self._phase)
+        return Decision(wanted, self._phase)
 
     def values(self) -> Mapping[str, float]:
         """Return where the robot is beside and before the target, and its heading's goal."""
         return self._values
 
-    def _hold(self) -> Decision:
-        self._sent = self._shaper.stop()
-        return Decision(self._sent, self._phase)
-
-    def _go_blindly(self, dt: float) -> Decision:
+    def _go_blindly(self, sent: Velocity, dt: float) -> Decision:
         """Go straight ahead: some tensors are determined only once the robot has moved."""
-        self._blind += abs(self._sent.v) * dt
+        self._blind += abs(sent.v) * dt
         if self._blind >= _BLIND_LEG_M:
-            return self._hold()
-        self._sent = self._shaper.command(Velocity(_BLIND_SPEED, 0.0), dt)
-        return Decision(self._sent, self._phase)
+            return Decision(STANDSTILL, self._phase)
+        return Decision(Velocity(_BLIND_SPEED, 0.0), self._phase)
 
     def _with_phi_1(self, estimate: TensorEstimate) -> tuple[TensorEstimate, bool]:
         """Return the estimate with φ1 as the tensor itself shows it, once the leg is long enough.
@@ -221,17 +206,17 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             -self.options.lambda_omega * seen.heading,
         )
 
-    def _arrived(self, seen: TrifocalState, dt: float) -> bool:
+    def _arrived(self, seen: TrifocalState, sent: Velocity, dt: float) -> bool:
         place = seen.right * seen.scale, seen.forward * seen.scale
-        verdict = self._arrival.judge(place, seen.heading, self._sent, dt)
-        if verdict is Verdict.BESIDE and self._retreats < self.options.retreats:
-            self._retreats += 1
+        verdict = self._arrival.judge(place, seen.heading, sent, dt)
+        if verdict is Verdict.BESIDE:
             self._phase = "retreat"
         return verdict is Verdict.THERE
 
     def _retreat(self, seen: TrifocalState) -> Velocity:
         """Return the velocity straight back; the approach begins again from there."""
-        if seen.forward * seen.scale >= self._arrival.room_m:
-            self._phase, self._arrival = "approach", Arrival(self.options)
+        if self._arrival.has_room(seen.forward * seen.scale):
+            self._phase = "approach"
+            self._arrival.restart()
             return STANDSTILL
         return Velocity(-_BLIND_SPEED, -self.options.lambda_omega * seen.heading)

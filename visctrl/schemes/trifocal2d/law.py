@@ -19,7 +19,6 @@ from pydantic import Field
 from visctrl.contracts import Context, Controller, Decision, Estimate, Health, Signal
 from visctrl.geometry.trifocal.tensor2d import T212, T232, rates_2d, tensor_2d
 from visctrl.hal.types import STANDSTILL, Velocity
-from visctrl.schemes.command_shaping import CommandShaper
 from visctrl.schemes.sliding_mode import CosineDescent
 from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
 from visctrl.schemes.trifocal2d.estimator import Tensor2dEstimate
@@ -53,7 +52,6 @@ class Trifocal2dOptions(ArrivalOptions):
     damping : of the pseudo-inverse, in units of the elements.
     advance_m, advance_m_s : the straight leg that scales the tensor.
     settle_s : the run ends this long after the references, if not by arrival before.
-    whole_units : round to whole mm/s and deg/s, carrying the remainder.
     """
 
     references: Literal["sequence", "direct"] = "sequence"
@@ -64,7 +62,6 @@ class Trifocal2dOptions(ArrivalOptions):
     advance_m: NotNegative = 0.2
     advance_m_s: Positive = 0.2
     settle_s: NotNegative = 10.0
-    whole_units: bool = True
 
 
 class Trifocal2d(Controller[Trifocal2dOptions, Tensor2dEstimate]):
@@ -80,49 +77,42 @@ class Trifocal2d(Controller[Trifocal2dOptions, Tensor2dEstimate]):
 
     def __init__(self, options: Trifocal2dOptions, context: Context) -> None:
         super().__init__(options, context)
-        self._shaper = CommandShaper(context.limits, whole_units=options.whole_units)
         self._arrival = Arrival(options)
         self._references: _References | None = None
-        self._last_t: float | None = None
-        self._sent = STANDSTILL
         self._advanced = 0.0
         self._progress = 0.0
         self._values: dict[str, float] = {}
 
-    def update(self, estimate: Tensor2dEstimate, t: float) -> Decision:
-        """Return the velocity for an estimate at ``t`` seconds since the start."""
-        dt = self.context.period_s if self._last_t is None else max(t - self._last_t, 0.0)
-        self._last_t = t
+    def update(self, estimate: Tensor2dEstimate, sent: Velocity, dt: float) -> Decision:
+        """Return the velocity for an estimate; what was ``sent`` has acted for ``dt`` (s)."""
         self._values = {}
         if estimate.health is not Health.OK:
-            self._sent = self._shaper.stop()
-            return Decision(self._sent, "tracking" if self._references else "advance")
+            return Decision(STANDSTILL, "tracking" if self._references else "advance")
         if self._references is None:
-            self._advanced += self._sent.v * dt
+            self._advanced += sent.v * dt
             if self._advanced < self.options.advance_m - 1e-9:
-                self._sent = self._shaper.command(Velocity(self.options.advance_m_s, 0.0), dt)
-                return Decision(self._sent, "advance")
+                return Decision(Velocity(self.options.advance_m_s, 0.0), "advance")
             self._references = self._begin(estimate)
-        return self._track(estimate, self._references, dt)
+        return self._track(estimate, self._references, sent, dt)
 
     def values(self) -> Mapping[str, float]:
         """Return how far the elements are from their references, and the clock."""
         return self._values
 
-    def _track(self, estimate: Tensor2dEstimate, references: _References, dt: float) -> Decision:
+    def _track(
+        self, estimate: Tensor2dEstimate, references: _References, sent: Velocity, dt: float
+    ) -> Decision:
         wanted = self._inverted(estimate, references)
         # Where the robot is held back by its limits, the references wait for it.
-        _, factor = self._shaper.bounded(wanted)
-        self._progress += dt * factor
-        self._sent = self._shaper.command(wanted, dt)
+        self._progress += dt * self.context.slowdown(wanted)
         over = self._progress - references.duration
         if over < 0.0:
-            return Decision(self._sent, "tracking")
+            return Decision(wanted, "tracking")
         right, forward = estimate.target * estimate.scale_m
-        verdict = self._arrival.judge((right, forward), estimate.heading, self._sent, dt)
+        verdict = self._arrival.judge((right, forward), estimate.heading, sent, dt)
         if verdict is Verdict.UNDER_WAY and over < self.options.settle_s:
-            return Decision(self._sent, "settling")
-        return Decision(self._shaper.stop(), "settling", finished=True)
+            return Decision(wanted, "settling")
+        return Decision(STANDSTILL, "settling", finished=True)
 
     def _inverted(self, estimate: Tensor2dEstimate, references: _References) -> Velocity:
         """Return (JᵀJ + damping²)⁻¹ Jᵀ (T_d' − gain (T − T_d)), the damped pseudo-inverse."""
