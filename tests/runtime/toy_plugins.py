@@ -7,10 +7,11 @@ import os
 import signal
 import time
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from visctrl.contracts import Controller, Decision, Estimate, Estimator, Health, Signal, Views
 from visctrl.hal.errors import CameraError
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.mock.backend import MockBackend, MockOptions
 from visctrl.hal.types import BaseStatus, Frame, Velocity
 from visctrl.robots.documents import StrictModel
@@ -30,9 +31,9 @@ class SpyBackend(MockBackend):
     Options = SpyOptions
     opened: ClassVar[list[SpyBackend]] = []
 
-    def __init__(self, *, options: SpyOptions, **others: Any) -> None:
-        super().__init__(options=options, **others)
-        self.spy_options = options
+    def __init__(self, setup: BackendSetup[SpyOptions]) -> None:
+        super().__init__(setup)
+        self.spy_options = setup.options
         self.commands: list[tuple[float, Velocity]] = []
         self.closed = 0
 
