@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from visctrl.contracts import Context, Views
 from visctrl.geometry.trifocal.fit import refine
 from visctrl.geometry.trifocal.motions import motions_of_tensor, share_in_front
-from visctrl.geometry.trifocal.solvers import ransac
+from visctrl.geometry.trifocal.solvers import ransac_tensor
 from visctrl.geometry.trifocal.tensor import CALIBRATED, trilinear
 from visctrl.geometry.two_view.planar import ransac_planar_motion
 from visctrl.hal.cameras.central import CentralCamera, load_camera
@@ -84,7 +84,7 @@ def methods(camera: CentralCamera, views: list[Array], seed: int) -> dict[str, C
 
     def tensor() -> float:
         relation = trilinear(initial, current, target).within(CALIBRATED)
-        z, agree = ransac(relation, sigma, seed=seed)
+        z, agree = ransac_tensor(relation, sigma, seed=seed)
         motions = motions_of_tensor(CALIBRATED @ refine(relation.take(agree), z, sigma).z)
         front = share_in_front(motions, initial[agree], current[agree], target[agree])
         # Two motions remain; what was driven, straight ahead, tells the right one.
@@ -135,7 +135,7 @@ def hypotheses_ms(count: int, repeats: int = 60) -> float:
     relation, taken = trilinear(*rays).within(CALIBRATED), []
     for seed in range(repeats):
         began = time.process_time()
-        ransac(relation, NOISE_PX / camera.fx, seed=seed, hypotheses=HYPOTHESES)
+        ransac_tensor(relation, NOISE_PX / camera.fx, seed=seed, hypotheses=HYPOTHESES)
         taken.append(1e3 * (time.process_time() - began))
     return float(np.median(taken))
 

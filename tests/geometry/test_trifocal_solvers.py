@@ -11,7 +11,7 @@ from visctrl.geometry.trifocal import tensor as trifocal
 from visctrl.geometry.trifocal.solvers import (
     identical_views,
     linear_covariance,
-    ransac,
+    ransac_tensor,
     solve_linear,
     solve_minimal,
 )
@@ -71,20 +71,20 @@ def test_linear_solver_broadcasts():
 def test_ransac_finds_the_outliers(basis):
     for seed in range(5):
         relation = seen(seed, 60, SIGMA, outliers=18)
-        _, inliers = ransac(relation.within(basis), SIGMA, seed=seed)
+        _, inliers = ransac_tensor(relation.within(basis), SIGMA, seed=seed)
         assert inliers[18:].mean() > 0.85
         assert inliers[:18].mean() < 0.35
 
 
 def test_ransac_is_repeatable():
     relation = seen(2, 60, SIGMA, outliers=18).within(CALIBRATED)
-    first, second = (ransac(relation, SIGMA, seed=7)[0] for _ in range(2))
+    first, second = (ransac_tensor(relation, SIGMA, seed=7)[0] for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
 def test_ransac_refuses_too_few_features():
     with pytest.raises(ValueError, match="6 are needed"):
-        ransac(seen(0, 5).within(CALIBRATED), SIGMA)
+        ransac_tensor(seen(0, 5).within(CALIBRATED), SIGMA)
 
 
 def test_five_hundred_hypotheses_are_quick():
@@ -92,7 +92,7 @@ def test_five_hundred_hypotheses_are_quick():
     best = np.inf
     for _ in range(15):
         start = time.perf_counter()
-        ransac(relation, SIGMA, hypotheses=500)
+        ransac_tensor(relation, SIGMA, hypotheses=500)
         best = min(best, time.perf_counter() - start)
     assert best <= 0.010
 
@@ -134,7 +134,7 @@ def test_knowing_the_initial_view_halves_the_error():
         relation = seen(seed, 60, SIGMA, outliers=18)
         for family, errors in ((CALIBRATED, free), (basis, known)):
             within = relation.within(family)
-            z, inliers = ransac(within, SIGMA, seed=seed)
+            z, inliers = ransac_tensor(within, SIGMA, seed=seed)
             fit = trifocal_fit.refine(within.take(inliers), z, SIGMA)
             errors.append(np.abs(trifocal.normalised(family @ fit.z) - truth()).max())
     assert np.median(known) < 0.5 * np.median(free)

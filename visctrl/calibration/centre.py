@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.calibration.edges import Segments
+from visctrl.geometry.robust.sampling import Samples, ransac
 from visctrl.robots.errors import InputError
 
 Array = NDArray[np.float64]
@@ -107,21 +108,28 @@ def _consensus(segments: Segments, size: tuple[int, int], seed: int) -> Array | 
     n = len(segments)
     if n < 2:
         return None
-    rng = np.random.default_rng(seed)
+    # Long segments know their direction best, and are drawn more often.
     share = segments.length / segments.length.sum()
-    a, b = rng.choice(n, (2, _HYPOTHESES), p=share)
-    p, q = segments.along[a], segments.along[b]
-    sine = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-    apart = segments.middle[b] - segments.middle[a]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (apart[:, 0] * q[:, 1] - apart[:, 1] * q[:, 0]) / sine
-        points = segments.middle[a] + along[:, None] * p
-        inside = ((points > 0) & (points < np.array(size))).all(axis=1) & (np.abs(sine) > 0.1)
-    points = points[inside]
-    if len(points) == 0:
-        return None
-    _, sigma, agree = _agreement(segments, points)
-    return np.asarray(points[np.argmax((agree / sigma).sum(axis=1))])
+    pairs = np.random.default_rng(seed).choice(n, (2, _HYPOTHESES), p=share).T
+
+    def intersections(pairs: Samples) -> Array:
+        a, b = pairs.T
+        p, q = segments.along[a], segments.along[b]
+        sine = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+        apart = segments.middle[b] - segments.middle[a]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = (apart[:, 0] * q[:, 1] - apart[:, 1] * q[:, 0]) / sine
+            points = segments.middle[a] + along[:, None] * p
+            inside = ((points > 0) & (points < np.array(size))).all(axis=1) & (np.abs(sine) > 0.1)
+        return np.asarray(points[inside])
+
+    def disagreement(points: Array) -> Array:
+        _, sigma, agree = _agreement(segments, points)
+        # By their precision, too: what a short segment points at says little.
+        return np.asarray(1.0 - agree * (sigma.min(initial=np.inf) / sigma))
+
+    found = ransac(pairs, intersections, disagreement, 1.0)
+    return found.models[0] if len(found.models) else None
 
 
 def _solve(segments: Segments, miss: Array, weight: Array) -> Array | None:

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.scale import mad_sd
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Grey = NDArray[np.uint8]
@@ -165,7 +167,7 @@ def _line(points: Array, before: Array) -> Edge:
         middle = points[kept].mean(axis=0)
         along = np.linalg.svd(points[kept] - middle, full_matrices=False)[2][0]
         across = (points - middle) @ np.array([-along[1], along[0]])
-        spread = 1.4826 * float(np.median(np.abs(across[kept])))
+        spread = mad_sd(across[kept])
         kept = np.abs(across) < max(3.0 * spread, 0.3)
     along = along if along @ before > 0.0 else -along
     t = (points[kept] - middle) @ along

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.two_view.planar import PlanarMotion, refine_planar_motion, sampson_residuals
 from visctrl.perception.matching import Described, mutual_matches, planar_inliers
 from visctrl.perception.patch_alignment import Patches, Source
@@ -146,5 +147,5 @@ def _refined(
     motion = refine_planar_motion(a[sure], b[sure], motion.phi, motion.direction, sigma)
     residual, _ = sampson_residuals(a, b, motion.phi, motion.direction)
     # Two views' noise, and a tilt of the robot between them.
-    limit = _GATE_SIGMAS * max(2.0 * sigma, 1.4826 * float(np.median(np.abs(residual))))
+    limit = _GATE_SIGMAS * max(2.0 * sigma, mad_sd(residual))
     return motion, np.abs(residual) < limit

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.two_view.planar import PlanarMotion
 
 Array = NDArray[np.float64]
@@ -113,7 +114,7 @@ class ThreeViewMap:
         residual = residual - J @ step
         inliers = _within_gate(residual, variance)
         sure = inliers if inliers.any() else np.ones_like(inliers)
-        spread = 1.4826 * _median(np.abs(residual[sure, 0])) if len(which) else 0.0
+        spread = mad_sd(residual[sure, 0]) if len(which) else 0.0
         return Fit(pose, inliers, spread)
 
     def agree(self, which: Indices, rays: Array, pose: Array, sigma: float) -> Mask:
@@ -177,11 +178,6 @@ class ThreeViewMap:
 
 def _within_gate(residual: Array, variance: Array) -> Mask:
     return np.asarray((residual**2 / variance < _GATE_SIGMAS**2).all(axis=1))
-
-
-def _median(numbers: Array) -> float:
-    """Return the (upper) median; a tenth of the time of numpy's."""
-    return float(np.partition(numbers, len(numbers) // 2)[len(numbers) // 2])
 
 
 def _seen(rays: Array) -> Array:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.robust.symmetric import inverse4
 from visctrl.geometry.trifocal.tensor import (
     Linearised,
@@ -217,9 +218,7 @@ def _geman_mcclure(residual: Array, spread: float) -> tuple[Array, float]:
 
 def _spread(residual: Array, sigma: float) -> float:
     """Return the robust standard deviation of the residuals, at least ``sigma``."""
-    size, middle = np.abs(residual), len(residual) // 2
-    size.partition(middle)
-    return max(sigma, 1.4826 * float(size[middle]))
+    return max(sigma, mad_sd(residual))
 
 
 def _across(matrix: Array, z: Array) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.sampling import distinct_samples, ransac
 from visctrl.geometry.trifocal.tensor import Trilinear, sampson_residuals, unit_bearings
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ def solve_minimal(error: Array) -> Array:
     return np.asarray(orthogonal[..., -1])
 
 
-def ransac(
+def ransac_tensor(
     relation: Trilinear,
     sigma: float,
     *,
@@ -73,18 +74,14 @@ def ransac(
     count, unknowns = relation.error.shape
     if count < unknowns:
         raise ValueError(f"{count} features, {unknowns} are needed to judge {unknowns} unknowns")
-    rng = np.random.default_rng(seed)
-    sample = _distinct(rng, count, unknowns - 1, hypotheses)
-    candidates = solve_minimal(relation.error[sample])
-    squared = sampson_residuals(relation, candidates) ** 2
-    limit = (threshold_sigmas * sigma) ** 2
-    best = int(np.argmin(np.minimum(squared, limit).sum(axis=1)))
-    return candidates[best], squared[best] < limit
-
-
-def _distinct(rng: np.random.Generator, count: int, size: int, rows: int) -> NDArray[np.int64]:
-    """Return samples (rows, size) of distinct numbers below ``count``."""
-    return np.argpartition(rng.random((rows, count)), size - 1, axis=1)[:, :size]
+    error = relation.error
+    found = ransac(
+        distinct_samples(count, unknowns - 1, hypotheses, seed),
+        lambda samples: solve_minimal(error[samples]),
+        lambda tensors: sampson_residuals(relation, tensors) ** 2,
+        (threshold_sigmas * sigma) ** 2,
+    )
+    return found.models[0], found.inliers
 
 
 def linear_covariance(relation: Trilinear, z: Array, sigma: float) -> Array:

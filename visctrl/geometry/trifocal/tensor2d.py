@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from visctrl.geometry.robust.sampling import Samples, distinct_samples, ransac
 from visctrl.geometry.trifocal.tensor import target_in_view
 
 Array = NDArray[np.float64]
@@ -169,18 +170,18 @@ def residuals_2d(relation: Incidence, tensor: Array, sigma: float) -> Array:
 def ransac_2d(
     relation: Incidence, sigma: float, *, seed: int, threshold_sigmas: float, hypotheses: int
 ) -> Mask:
-    """Return the features (N,) that agree with the best tensor of a random minimal sample.
+    """Return the features (N,) that agree with the best tensor of a random minimal sample."""
 
-    All samples are solved in one array operation, and judged in another.
-    """
-    count = len(relation.error)
-    rng = np.random.default_rng(seed)
-    order = np.argpartition(rng.random((hypotheses, count)), SAMPLE_2D - 1, axis=1)
-    A = relation.error[order[:, :SAMPLE_2D]].reshape(hypotheses, -1, 12)
-    _, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
-    residuals = residuals_2d(relation, vectors[:, :, 0].T, sigma)
-    best = int(np.argmin(np.minimum(residuals, threshold_sigmas).sum(axis=0)))
-    return np.asarray(residuals[:, best] < threshold_sigmas)
+    def solve(samples: Samples) -> Array:
+        A = relation.error[samples].reshape(len(samples), -1, 12)
+        return np.asarray(np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)[1][:, :, 0])
+
+    return ransac(
+        distinct_samples(len(relation.error), SAMPLE_2D, hypotheses, seed),
+        solve,
+        lambda tensors: residuals_2d(relation, tensors.T, sigma).T ** 2,
+        threshold_sigmas**2,
+    ).inliers
 
 
 def _forms(w: Array, a: Array, b: Array) -> Array:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.scale import MAD_TO_SD
 from visctrl.geometry.robust.soft_l1 import (
     KERNEL_SIGMAS,
     Delta,
@@ -202,7 +203,7 @@ def _judged(
     metrics = [_Metric.of(scale) for _, _, scale in ends]
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it. None
     # exceed the limit but for the median of no inliers at all, which is infinite.
-    units = [max(1.0 / KERNEL_SIGMAS, 1.4826 * min(size, 1.0 / unit)) ** 2 for size in misfit]
+    units = [max(1.0 / KERNEL_SIGMAS, MAD_TO_SD * min(size, 1.0 / unit)) ** 2 for size in misfit]
     # Features close to both the baseline and the horizon have rows of nothing but noise, which is
     # the trace over m's own noise, less 1 for that.
     loud = [

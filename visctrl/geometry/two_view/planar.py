@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from visctrl.contracts import Health
+from visctrl.geometry.robust.sampling import distinct_samples, ransac
 from visctrl.geometry.two_view.parallax import signed_parallax
 from visctrl.geometry.two_view.planar_fit import IDENTICAL as IDENTICAL
 from visctrl.geometry.two_view.planar_fit import Fit, RayPairs, fit
@@ -124,17 +125,16 @@ def ransac_planar_motion(
     a, b = np.asarray(rays_a, dtype=np.float64), np.asarray(rays_b, dtype=np.float64)
     if len(a) < MINIMUM_FEATURES:
         return _too_few(len(a))
-    rng = np.random.default_rng(seed)
-    first = rng.integers(0, len(a), hypotheses)
-    second = (first + rng.integers(1, len(a), hypotheses)) % len(a)
-    sample = np.stack([first, second], axis=-1)
-    theta, alpha = two_point_motions(a[sample], b[sample])
     limit = threshold_sigmas * sigma
-    squared = squared_residuals(a, b, theta, alpha)
-    best = int(np.argmin(np.minimum(squared, limit**2).sum(axis=1)))
-    phi, direction = float(alpha[best] - theta[best]), float(theta[best])
-    direction = _towards_points(a, b, phi, direction, sigma)
-    inliers = (squared[best] < limit**2) & _plausible(a, b, phi, direction, limit)
+    found = ransac(
+        distinct_samples(len(a), 2, hypotheses, seed),
+        lambda samples: two_point_motions(a[samples], b[samples]),
+        lambda angles: squared_residuals(a, b, angles),
+        limit**2,
+    )
+    theta, alpha = found.models[0].tolist()
+    phi, direction = alpha - theta, _towards_points(a, b, alpha - theta, theta, sigma)
+    inliers = found.inliers & _plausible(a, b, phi, direction, limit)
     motion = _too_few(len(a))
     for _ in range(2):
         if inliers.sum() < MINIMUM_FEATURES:
@@ -220,8 +220,8 @@ def _motion(found: Fit) -> PlanarMotion:
     return PlanarMotion(found.phi, found.direction, covariance, found.inliers, health, found.reason)
 
 
-def two_point_motions(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return (θ, α) (2H,) of the motions through samples (H, 2, 3).
+def two_point_motions(a: Array, b: Array) -> Array:
+    """Return the bearings (θ, α), (2H, 2), of the motions through samples (H, 2, 3).
 
     With m = (cos θ, sin θ), n = (cos α, sin α) the constraints read P m + Q n = 0, so that
     m = W n with W = −P⁻¹Q; |m| = |n| = 1 is an equation in cos 2α, sin 2α.
@@ -244,22 +244,22 @@ def two_point_motions(a: Array, b: Array) -> tuple[Array, Array]:
     W = np.concatenate([W, W])
     c, s = np.cos(alpha), np.sin(alpha)
     theta = np.arctan2(W[:, 1, 0] * c + W[:, 1, 1] * s, W[:, 0, 0] * c + W[:, 0, 1] * s)
-    return theta, alpha
+    return np.stack([theta, alpha], axis=-1)
 
 
-def squared_residuals(a: Array, b: Array, theta: Array, alpha: Array) -> Array:
-    """Return squared Sampson residuals (H, N) of H motions for N features.
+def squared_residuals(a: Array, b: Array, angles: Array) -> Array:
+    """Return squared Sampson residuals (H, N) of motions (θ, α), (H, 2), for N features.
 
     The error is linear in the cosines and sines of both angles, its squared gradient in those of
     twice the angles: two matrix products.
     """
     (ax, ay, az), (bx, by, bz) = a.T, b.T
-    forth, back = np.exp(1j * theta), np.exp(1j * alpha)
+    forth, back = np.exp(1j * angles.T)
     error: Array = np.stack([forth.real, forth.imag, back.real, back.imag], axis=1) @ np.stack(
         [bz * ax, -bz * ay, -az * bx, az * by]
     )
     forth, back = forth * forth, back * back
-    ones = np.ones(len(theta))
+    ones = np.ones(len(angles))
     level = az * az + bz * bz + 0.5 * (ax * ax + ay * ay + bx * bx + by * by)
     gradient = np.stack([ones, forth.real, forth.imag, back.real, back.imag], axis=1) @ np.stack(
         [level, 0.5 * (ax * ax - ay * ay), -ax * ay, 0.5 * (bx * bx - by * by), -bx * by]

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from visctrl.geometry.robust.scale import MAD_TO_SD
 from visctrl.geometry.robust.soft_l1 import (
     KERNEL_SIGMAS,
     Delta,
@@ -216,7 +217,7 @@ def _judged(
     loudness = shown[1] = pairs.loudness(linear)
     misfit, usual = medians(shown, pairs.pairs, inside)
     # Residuals larger than promised widen the covariance; smaller ones do not narrow it.
-    units = [max(1.0 / KERNEL_SIGMAS, 1.4826 * size) for size in misfit]
+    units = [max(1.0 / KERNEL_SIGMAS, MAD_TO_SD * size) for size in misfit]
     loud = [1.0 + max(_MAX_NOISE, _USUAL_NOISE * (value - 1.0)) for value in usual]
     limits = np.array([[3.0 * unit for unit in units], loud])[:, :, None]
     agree, quiet = shown.reshape(2, pairs.pairs, -1) < limits

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from visctrl.contracts import Health
+from visctrl.geometry.robust.sampling import distinct_samples, ransac, truncated_squares
 from visctrl.geometry.two_view import epipolar_fit
 from visctrl.geometry.two_view.epipolar_fit import ONE_PLANE as ONE_PLANE
 from visctrl.geometry.two_view.epipolar_fit import SHORT_BASELINE as SHORT_BASELINE
@@ -138,7 +139,7 @@ def ransac_planar_epipoles(
         PointPairs.of(a, b, len(starts)), starts, sigma, limit=limit, iterations=_FINALIST_STEPS
     )
     squared = squared_residuals(a, b, np.array([_unit_vector(lines) for lines in ends]))
-    best = _unit_vector(ends[int(np.argmin(np.minimum(squared, limit**2).sum(axis=-1)))])
+    best = _unit_vector(ends[int(np.argmin(truncated_squares(limit**2)(squared)))])
     return refine_epipoles(PointPairs.of(a, b), [best], sigma, limit=limit)[0]
 
 
@@ -146,9 +147,15 @@ def likely_lines(
     a: Array, b: Array, limit: float, hypotheses: int, seed: int, count: int
 ) -> list[Lines]:
     """Return those of random samples' lines that most points (N, 2) lie nearer to than a limit."""
-    m = null_vectors(constraint_rows(a, b)[_samples(len(a), hypotheses, seed)])
-    cost = np.minimum(squared_residuals(a, b, m), limit**2).sum(axis=-1)
-    return [_lines(_vector(v)) for v in m[np.argpartition(cost, count)[:count]]]
+    rows = constraint_rows(a, b)
+    found = ransac(
+        distinct_samples(len(a), 3, hypotheses, seed),
+        lambda samples: null_vectors(rows[samples]),
+        lambda m: squared_residuals(a, b, m),
+        limit**2,
+        keep=count,
+    )
+    return [_lines(_vector(m)) for m in found.models]
 
 
 def refine_planar_epipoles(
@@ -209,17 +216,6 @@ def turned(m: Vector, turn_a: float = 0.0, turn_b: float = 0.0) -> Vector:
         c_b * m[2] - s_b * m[3],
         s_b * m[2] + c_b * m[3],
     )
-
-
-def _samples(count: int, hypotheses: int, seed: int) -> NDArray[np.int64]:
-    """Return (hypotheses, 3) triples of distinct indices below ``count``."""
-    rng = np.random.default_rng(seed)
-    first = rng.integers(0, count, hypotheses)
-    step = rng.integers(1, count, hypotheses)
-    # A third index that skips the two taken ones, drawn uniformly from the rest.
-    other = rng.integers(1, count - 1, hypotheses)
-    other += other >= step
-    return np.stack([first, (first + step) % count, (first + other) % count], axis=-1)
 
 
 def _epipoles(found: epipolar_fit.LinesFit) -> PlanarEpipoles:

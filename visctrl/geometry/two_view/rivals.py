@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from visctrl.geometry.robust.sampling import Samples, distinct_samples, ransac
 from visctrl.geometry.two_view.parallax import signed_parallax
 from visctrl.geometry.two_view.planar import (
     PlanarMotion,
@@ -60,31 +61,31 @@ def rival_motion(
     a, b = (np.asarray(r, dtype=np.float64)[motion.inliers] for r in (rays_a, rays_b))
     if len(a) < 4:
         return None
-    rng = np.random.default_rng(seed)
-    first = rng.integers(0, len(a), hypotheses)
-    second = (first + rng.integers(1, len(a), hypotheses)) % len(a)
-    sample = np.stack([first, second], axis=-1)
-    theta, alpha = two_point_motions(a[sample], b[sample])
-    far = _apart(theta, alpha, motion)
-    if not far.any():
+
+    def other_motions(samples: Samples) -> Array:
+        angles = two_point_motions(a[samples], b[samples])
+        return angles[_apart(angles[:, 1] - angles[:, 0], motion)]
+
+    found = ransac(
+        distinct_samples(len(a), 2, hypotheses, seed),
+        other_motions,
+        lambda angles: squared_residuals(a, b, angles),
+        (_THRESHOLD_SIGMAS * sigma) ** 2,
+        keep=_FINALISTS,
+    )
+    starts = [(alpha - theta, theta) for theta, alpha in found.models.tolist()]
+    if not starts:
         return None
-    theta, alpha = theta[far], alpha[far]
-    limit2 = (_THRESHOLD_SIGMAS * sigma) ** 2
-    cost = np.minimum(squared_residuals(a, b, theta, alpha), limit2).sum(axis=1)
-    starts = [
-        (float(alpha[index] - theta[index]), float(theta[index]))
-        for index in np.argsort(cost)[:_FINALISTS]
-    ]
     for rival in refine_motions(RayPairs.of(a, b, len(starts)), starts, sigma):
-        other = _apart(np.array(0.0), np.array(rival.phi), motion).all()
+        other = _apart(np.array(rival.phi), motion).all()
         if other and _as_good(a, b, rival, motion, sigma):
             return rival
     return None
 
 
-def _apart(theta: Array, alpha: Array, motion: PlanarMotion) -> NDArray[np.bool_]:
-    """Return whether motions are others than ``motion``; a half turn of both angles is none."""
-    turn = np.abs(wrap_angle(alpha - theta - motion.phi))
+def _apart(phi: Array, motion: PlanarMotion) -> NDArray[np.bool_]:
+    """Return whether headings are others than that of ``motion``."""
+    turn = np.abs(wrap_angle(phi - motion.phi))
     return np.asarray(turn > max(_APART, _APART_SIGMAS * motion.phi_sd))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.contracts import Health
+from visctrl.geometry.robust.sampling import truncated_squares
 from visctrl.geometry.two_view.essential import Epipole
 from visctrl.geometry.two_view.horizon import find_horizon
 from visctrl.geometry.two_view.parallax import signed_parallax
@@ -141,8 +142,8 @@ class Calibrated:
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
     ) -> PlanarMotion:
         """Return ``last`` in the best direction (see the protocol)."""
-        alpha = np.asarray(_DIRECTIONS + (last.phi + turn))
-        best = _least(squared_residuals(a, b, _DIRECTIONS, alpha), sigma)
+        angles = np.stack([_DIRECTIONS, _DIRECTIONS + (last.phi + turn)], axis=-1)
+        best = _least(squared_residuals(a, b, angles), sigma)
         return replace(last, direction=float(_DIRECTIONS[best]))
 
 
@@ -323,7 +324,7 @@ def _epipoles(motion: PlanarMotion) -> PlanarEpipoles:
 
 def _least(squared: Array, sigma: float) -> int:
     """Return which hypothesis has the least squared residuals (H, N), each up to a limit."""
-    return int(np.argmin(np.minimum(squared, (_COUNTED_SIGMAS * sigma) ** 2).sum(axis=1)))
+    return int(np.argmin(truncated_squares((_COUNTED_SIGMAS * sigma) ** 2)(squared)))
 
 
 def _bearing_vectors(phi: float) -> Array:

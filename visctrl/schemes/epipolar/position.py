@@ -28,6 +28,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.scale import mad_sd
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
@@ -236,8 +238,7 @@ def _normal_equations(
     scale += seen.spread
     rows *= 1.0 / np.sqrt(scale)
     residual = rows[3]
-    usual = float(np.partition(np.abs(residual), count)[count])
-    spread = max(sigma, 1.4826 * usual)
+    spread = max(sigma, mad_sd(residual))
     scaled = residual * (1.0 / (_KERNEL_SIGMAS * spread))
     weighted = rows / (1.0 + scaled * scaled)
     return weighted.dot(rows.T).tolist(), spread**2

@@ -18,7 +18,7 @@ from visctrl.geometry.trifocal.fit import refine
 from visctrl.geometry.trifocal.solvers import (
     identical_views,
     linear_covariance,
-    ransac,
+    ransac_tensor,
     solve_linear,
 )
 from visctrl.geometry.trifocal.tensor import (
@@ -159,7 +159,7 @@ def _agreeing(relation: Trilinear, sigma: float, seed: int) -> Trilinear:
     residual = sampson_residuals(relation, solve_linear(relation))
     if np.abs(residual).max() < _OUTLIER * sigma:
         return relation
-    _, inliers = ransac(relation, sigma, seed=seed, threshold_sigmas=_OUTLIER)
+    _, inliers = ransac_tensor(relation, sigma, seed=seed, threshold_sigmas=_OUTLIER)
     return relation.take(inliers)
 
 

@@ -16,7 +16,7 @@ from visctrl.geometry.trifocal.fit import (
     view_jacobian,
     view_of,
 )
-from visctrl.geometry.trifocal.solvers import identical_views, ransac
+from visctrl.geometry.trifocal.solvers import identical_views, ransac_tensor
 from visctrl.geometry.trifocal.tensor import (
     T111,
     T112,
@@ -192,7 +192,7 @@ class ConstrainedFit(TensorMethod):
         agreeing = self._agreeing(fit, sigma)
         if np.count_nonzero(agreeing) >= DOUBTFUL * len(relation) or len(relation) < 4:
             return fit, agreeing
-        z, inliers = ransac(
+        z, inliers = ransac_tensor(
             relation,
             sigma,
             seed=self.context.seed,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from visctrl.contracts import Views
 from visctrl.geometry.trifocal.fit import coupling, refine
 from visctrl.geometry.trifocal.motions import motions_of_tensor, share_in_front
-from visctrl.geometry.trifocal.solvers import identical_views, ransac
+from visctrl.geometry.trifocal.solvers import identical_views, ransac_tensor
 from visctrl.geometry.trifocal.tensor import (
     CALIBRATED,
     Trilinear,
@@ -55,7 +55,7 @@ class InitialFromBearings:
         within = relation.within(CALIBRATED)
         if len(relation) < within.error.shape[1]:
             return f"too few features: {len(relation)}"
-        z, inliers = ransac(
+        z, inliers = ransac_tensor(
             within,
             views.sigma,
             seed=self._seed,

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.contracts import Context, Health, Views
+from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.trifocal.fit import debiased_covariance, refine
 from visctrl.geometry.trifocal.solvers import (
     identical_views,
     linear_covariance,
-    ransac,
+    ransac_tensor,
     solve_linear,
 )
 from visctrl.geometry.trifocal.tensor import (
@@ -77,7 +78,7 @@ class LinearFit(TensorMethod):
 
     def _solve(self, views: Views, phi_1: float, phi_1_sd: float) -> Measurement:
         relation = trilinear(views.initial, views.current, views.target).within(self._basis)
-        _, inliers = ransac(
+        _, inliers = ransac_tensor(
             relation,
             views.sigma,
             seed=self.context.seed,
@@ -93,7 +94,7 @@ class LinearFit(TensorMethod):
         tensor = self._basis @ z
         if abs(tensor[T121]) < 1e-6:
             return Measurement.none(Health.DEGENERATE, "T121 vanishes: no tensor of such a task")
-        spread = 1.4826 * float(np.median(np.abs(sampson_residuals(agreeing, z))))
+        spread = mad_sd(sampson_residuals(agreeing, z))
         covariance = self._basis @ covariance @ self._basis.T
         scale, scale_sd = self._follow(tensor, covariance, phi_1)
         return Measurement(
