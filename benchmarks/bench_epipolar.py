@@ -27,7 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from visctrl.contracts import Context, Views
 from visctrl.geometry.two_view.planar_uncalibrated import ransac_planar_epipoles
 from visctrl.geometry.two_view.robust_matrices import robust_essential, robust_fundamental
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.mock.scene import seen_from
 from visctrl.hal.types import Pose, Velocity
 from visctrl.robots.unicycle import step_exact, wrap_angle

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from visctrl.contracts import Context
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Frame, Pose, Velocity
 from visctrl.perception.klt import Klt, KltOptions

@@ -30,7 +30,8 @@ from visctrl.geometry.trifocal.motions import motions_of_tensor, share_in_front
 from visctrl.geometry.trifocal.solvers import ransac_tensor
 from visctrl.geometry.trifocal.tensor import CALIBRATED, trilinear
 from visctrl.geometry.two_view.planar import ransac_planar_motion
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.mock.scene import seen_from
 from visctrl.hal.types import Pose, Velocity
 from visctrl.robots.unicycle import step_exact

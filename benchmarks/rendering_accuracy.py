@@ -17,7 +17,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
 from visctrl.hal.types import Pose
 from visctrl.sim.render.accuracy import CornerErrors, checker_room, measure_corners
 from visctrl.sim.render.renderer_choice import DRAWERS, DrawerName, drawer_problem, open_renderer

@@ -123,7 +123,7 @@ def test_options_of_every_backend_come_without_heavy_imports() -> None:
 
 
 def test_package_data_is_found() -> None:
-    from visctrl.hal.cameras.central import camera_names, load_camera
+    from visctrl.hal.cameras.catalogue import camera_names, load_camera
     from visctrl.robots import load_robot, robot_names
     from visctrl.runtime.config import DEFAULT_SCENARIO, scenario_names
 

@@ -17,8 +17,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.central import CentralCamera
-from visctrl.robots.documents import parse_yaml, validate
+from visctrl.hal.cameras.models.unified import UnifiedCamera
+from visctrl.robots.documents import parse_yaml
 from visctrl.robots.errors import InputError
 
 Format = Literal["visctrl", "kalibr", "opencv"]
@@ -55,7 +57,7 @@ def read_camera(path: Path) -> CentralCamera:
     data = parse_yaml(text, str(path))
     if any(re.fullmatch(r"cam\d+", str(key)) for key in data):
         return _from_kalibr(data, path)
-    return validate(data, CentralCamera, str(path))
+    return parse_camera(data, str(path))
 
 
 def write_camera(camera: CentralCamera, path: Path, form: Format) -> None:
@@ -80,7 +82,14 @@ def _plain_text(camera: CentralCamera) -> str:
     return yaml.safe_dump(camera.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
 
 
+def _unified(camera: CentralCamera, form: str) -> UnifiedCamera:
+    if not isinstance(camera, UnifiedCamera):
+        raise InputError(f"camera '{camera.name}': model '{camera.model}' has no place in {form}")
+    return camera
+
+
 def _kalibr_text(camera: CentralCamera) -> str:
+    camera = _unified(camera, "Kalibr's format")
     if camera.skew != 0.0:
         raise InputError(
             f"camera '{camera.name}': Kalibr's format has no skew (here {camera.skew:g})"
@@ -98,6 +107,7 @@ def _kalibr_text(camera: CentralCamera) -> str:
 
 
 def _opencv_text(camera: CentralCamera) -> str:
+    camera = _unified(camera, "OpenCV's format")
     K = (camera.fx, camera.skew, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0)
     ours = "\n".join(
         f"   {key}: {_quoted(value) if isinstance(value, str) else _number(value)}"
@@ -187,24 +197,10 @@ def _camera(known: Mapping[str, float], content: Mapping[str, Any], path: Path) 
     if extra is not None:
         if not isinstance(extra, dict):
             raise InputError(f"{path}: key '{_EXTRA}': expected a mapping of keys")
-        return validate({**extra, **known}, CentralCamera, str(path))
+        return parse_camera({**extra, **known}, str(path))
     everything = {"name": path.stem, "max_polar_deg": 180.0, **known}
-    camera = validate(everything, CentralCamera, str(path))
-    return camera.altered(max_polar_deg=widest_polar_deg(camera))
-
-
-def widest_polar_deg(camera: CentralCamera) -> float:
-    """Return the greatest polar angle (deg) that the model sees within the picture."""
-    whole = camera.altered(min_polar_deg=0.0, max_polar_deg=180.0)
-    u, v = np.arange(camera.width), np.arange(camera.height)
-    sides = [
-        *(np.stack([u, np.full(u.shape, y)], axis=-1) for y in (0, camera.height - 1)),
-        *(np.stack([np.full(v.shape, x), v], axis=-1) for x in (0, camera.width - 1)),
-    ]
-    rays, valid = whole.unproject(np.concatenate(sides))
-    if not valid.all():  # the rim of the model's image circle lies within the picture
-        return float(np.degrees(np.arccos(max(-1.0, -1.0 / camera.xi))))
-    return float(np.degrees(np.arccos(rays[:, 2].min())))
+    camera = parse_camera(everything, str(path))
+    return camera.altered(max_polar_deg=camera.widest_polar_deg)
 
 
 def _undistorted(coefficients: NDArray[np.float64], where: str) -> None:

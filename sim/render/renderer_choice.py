@@ -10,7 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.errors import InputError
 from visctrl.hal.types import Pose
 from visctrl.sim.options import RendererName

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.sim.render.drawn import DrawnScene, TextureFiles
 from visctrl.sim.world.engine import pybullet
 from visctrl.sim.world.scene import Scene

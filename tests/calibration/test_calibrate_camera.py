@@ -13,7 +13,8 @@ from views import board_image, save
 from visctrl.calibration.boards import Board, Corners
 from visctrl.calibration.camera import BoardView, calibrate
 from visctrl.cli.main import main
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.cameras.files import read_camera
 from visctrl.reproduce.calibration import ray_errors_deg
 from visctrl.robots.errors import InputError

@@ -14,7 +14,7 @@ from views import save
 from visctrl.calibration.centre import find_centre
 from visctrl.calibration.edges import find_segments
 from visctrl.cli.main import main
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.cameras.files import read_camera
 from visctrl.hal.types import Pose
 from visctrl.robots.errors import InputError

@@ -19,7 +19,7 @@ from virtual_robot import Site
 
 from visctrl.cli.drive import Hand, split_keys
 from visctrl.cli.main import main
-from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.hal.clock import WallClock
 from visctrl.hal.emulator.emulator import Emulator
 from visctrl.hal.emulator.firmware import Firmware
@@ -223,7 +223,7 @@ def test_doctor_examines_robot_and_camera(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    model = CentralCamera(
+    model = UnifiedCamera(
         name="small", width=160, height=120, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5
     )
     calibration = tmp_path / "small.yaml"

@@ -15,7 +15,7 @@ import pytest
 from virtual_robot import Site, renamed_robot
 
 from visctrl.cli.main import main
-from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.hal.emulator.emulator import Emulator
 from visctrl.hal.emulator.firmware import STEP_S
 from visctrl.hal.emulator.firmware_profile import SIMULATOR, Personality
@@ -26,7 +26,7 @@ from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.target_view import TargetView, load_target
 
 ROOT = Path(__file__).parents[2]
-MODEL = CentralCamera(
+MODEL = UnifiedCamera(
     name="small", width=160, height=120, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5
 )
 SCENARIO = """

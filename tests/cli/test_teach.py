@@ -13,7 +13,7 @@ import pytest
 from virtual_robot import Site
 
 from visctrl.cli.main import main
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.emulator.emulator import Emulator
 from visctrl.runtime.target_view import load_target
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from visctrl.contracts import Context, Estimate, Health, Obstacle, Plugin, Signal
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.types import Pose, Range
 from visctrl.robots import load_robot
 from visctrl.robots.documents import StrictModel

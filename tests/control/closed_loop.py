@@ -9,7 +9,8 @@ import numpy as np
 
 from visctrl.contracts import Context, Decision, Health
 from visctrl.hal.actuation import ActuationOptions, Limiter
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.mock.backend import MockBackend, MockOptions
 from visctrl.hal.types import STANDSTILL, Pose, Velocity

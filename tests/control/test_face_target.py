@@ -8,7 +8,7 @@ import pytest
 from visctrl.contracts import Context, Health
 from visctrl.geometry.two_view.planar import PlanarMotion
 from visctrl.hal.actuation import Limiter
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.types import STANDSTILL
 from visctrl.robots import load_robot
 from visctrl.robots.documents import validate

@@ -8,7 +8,7 @@ import pytest
 from closed_loop import LARGE, REAL, Loop
 
 from visctrl.contracts import Health
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.mock.backend import MockOptions
 from visctrl.hal.types import STANDSTILL
 from visctrl.schemes.trifocal.estimator import Tensor

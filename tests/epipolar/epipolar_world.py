@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from visctrl.contracts import Context, Controller, Estimator, Health, Views
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.hal.types import STANDSTILL
 from visctrl.robots import Limits
 from visctrl.robots.unicycle import step_exact, wrap_angle
 
-PERSPECTIVE = CentralCamera(
+PERSPECTIVE = UnifiedCamera(
     name="pinhole", width=640, height=480, xi=0.0, fx=600.0, fy=600.0, cx=319.5, cy=239.5
 )
 TS = 0.1

@@ -10,7 +10,8 @@ from epipolar_world import PERSPECTIVE, World, context, omnidirectional
 
 from visctrl.contracts import Health, Perception
 from visctrl.geometry.two_view.planar_uncalibrated import ONE_PLANE
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import STANDSTILL, Frame, Velocity
 from visctrl.perception.klt import Klt, KltOptions
 from visctrl.robots.errors import InputError

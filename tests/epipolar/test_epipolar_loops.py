@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from epipolar_world import PERSPECTIVE, Run, World, context, drive
 
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.schemes.epipolar.estimator import Epipoles, EpipolesOptions
 from visctrl.schemes.epipolar.law_smc import EpipolarSmc, EpipolarSmcOptions
 from visctrl.schemes.epipolar.law_smooth import EpipolarSmooth, EpipolarSmoothOptions

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from visctrl.contracts import Context, Health, Views
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.types import Velocity
 from visctrl.robots import load_robot
 from visctrl.robots.unicycle import step_exact

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.central import CentralCamera
 
 TILTED = load_camera("hypercatadioptric").altered(pitch_deg=4.0, roll_deg=-3.0, yaw_deg=20.0)
 OBLONG = load_camera("paracatadioptric").altered(fx=-170.0, fy=150.0, skew=2.0)

@@ -11,14 +11,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
 from visctrl.hal.cameras.files import FORMATS, read_camera, write_camera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.robots.errors import InputError
 
 number = st.floats(-1e5, 1e5, allow_subnormal=False)
 focal = st.floats(1e-8, 1e6) | st.floats(-1e6, -1e-8)
 cameras = st.builds(
-    CentralCamera,
+    UnifiedCamera,
     name=st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), max_size=20),
     width=st.integers(1, 10_000),
     height=st.integers(1, 10_000),

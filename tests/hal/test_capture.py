@@ -15,14 +15,14 @@ import pytest
 from virtual_robot import Site
 
 from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
-from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.hal.clock import WallClock
 from visctrl.hal.emulator.stream import MjpegServer
 from visctrl.hal.errors import CameraError, StaleFrameError
 from visctrl.hal.types import Frame
 
 WIDTH, HEIGHT, RATE = 160, 120, 25.0
-MODEL = CentralCamera(
+MODEL = UnifiedCamera(
     name="test", width=WIDTH, height=HEIGHT, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5
 )
 
@@ -63,7 +63,7 @@ class Projector:
 
 
 @contextmanager
-def opened(source: str, model: CentralCamera = MODEL, **options: object) -> Iterator[CaptureCamera]:
+def opened(source: str, model: UnifiedCamera = MODEL, **options: object) -> Iterator[CaptureCamera]:
     camera = CaptureCamera(
         model, CaptureOptions.model_validate({"source": source, **options}), WallClock()
     )

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.robots.errors import InputError
 
 RNG = np.random.default_rng(0)
 MODELS = [load_camera(name) for name in camera_names()] + [
-    CentralCamera(
+    UnifiedCamera(
         name="odd",
         width=640,
         height=512,
@@ -34,22 +35,22 @@ MODELS = [load_camera(name) for name in camera_names()] + [
 models = pytest.mark.parametrize("camera", MODELS, ids=lambda camera: camera.name)
 
 
-def valid_pixels(camera: CentralCamera, count: int = 2000) -> np.ndarray[tuple[int, int]]:
+def valid_pixels(camera: UnifiedCamera, count: int = 2000) -> np.ndarray[tuple[int, int]]:
     pixels = RNG.uniform((0, 0), (camera.width - 1, camera.height - 1), size=(count, 2))
     kept = pixels[camera.unproject(pixels)[1]]
     assert len(kept) > 100
     return kept
 
 
-def simple(xi: float, **changes: float) -> CentralCamera:
+def simple(xi: float, **changes: float) -> UnifiedCamera:
     base = {"width": 2001, "height": 2001, "fx": 100, "fy": 100, "cx": 1000, "cy": 1000}
-    return CentralCamera.model_validate(
+    return UnifiedCamera.model_validate(
         {"name": "simple", "xi": xi, "max_polar_deg": 80.0, **base, **changes}
     )
 
 
 @models
-def test_pixels_and_rays_are_inverse_to_each_other(camera: CentralCamera) -> None:
+def test_pixels_and_rays_are_inverse_to_each_other(camera: UnifiedCamera) -> None:
     pixels = valid_pixels(camera)
     rays, _ = camera.unproject(pixels)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-12)
@@ -62,7 +63,7 @@ def test_pixels_and_rays_are_inverse_to_each_other(camera: CentralCamera) -> Non
 
 
 @models
-def test_what_projects_is_what_unprojects(camera: CentralCamera) -> None:
+def test_what_projects_is_what_unprojects(camera: UnifiedCamera) -> None:
     """No ray outside the field gets a valid pixel, no valid pixel a ray outside."""
     rays = RNG.normal(size=(5000, 3))
     pixels, valid = camera.project(rays)
@@ -76,7 +77,7 @@ def test_what_projects_is_what_unprojects(camera: CentralCamera) -> None:
 
 
 @models
-def test_the_jacobian_is_the_derivative_of_the_projection(camera: CentralCamera) -> None:
+def test_the_jacobian_is_the_derivative_of_the_projection(camera: UnifiedCamera) -> None:
     rays, _ = camera.unproject(valid_pixels(camera)[:200])
     jacobian = camera.jacobian(rays)
     step = 1e-6
@@ -164,7 +165,7 @@ def test_catadioptric_elevation_grows_outwards() -> None:
 
 
 @models
-def test_another_size_keeps_the_field_of_view(camera: CentralCamera) -> None:
+def test_another_size_keeps_the_field_of_view(camera: UnifiedCamera) -> None:
     half = camera.resized(camera.width // 2, camera.height // 2)
     pixels = valid_pixels(camera)
     smaller = (pixels + 0.5) / 2 - 0.5

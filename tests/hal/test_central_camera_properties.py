@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 
 Array = NDArray[np.float64]
 
@@ -18,11 +19,11 @@ focal = st.floats(80.0, 900.0)
 
 
 @st.composite
-def cameras(draw: st.DrawFn, xi: st.SearchStrategy[float] | None = None) -> CentralCamera:
+def cameras(draw: st.DrawFn, xi: st.SearchStrategy[float] | None = None) -> UnifiedCamera:
     """Return a camera of any kind, skewed, mirrored, off centre and tilted."""
     kinds = st.one_of(st.just(0.0), st.floats(0.05, 0.99), st.just(1.0), st.floats(1.01, 2.5))
     fx = draw(focal)
-    return CentralCamera(
+    return UnifiedCamera(
         name="any",
         width=800,
         height=600,
@@ -44,7 +45,7 @@ def cameras(draw: st.DrawFn, xi: st.SearchStrategy[float] | None = None) -> Cent
 seeds = st.integers(0, 2**32 - 1)
 
 
-def pixels_of(camera: CentralCamera, seed: int, count: int = 200) -> Array:
+def pixels_of(camera: UnifiedCamera, seed: int, count: int = 200) -> Array:
     rng = np.random.default_rng(seed)
     return rng.uniform((-0.5, -0.5), (camera.width - 0.5, camera.height - 0.5), (count, 2))
 
@@ -55,7 +56,7 @@ def directions(seed: int, count: int = 200) -> Array:
 
 
 @given(camera=cameras(), seed=seeds)
-def test_a_valid_pixel_returns_through_its_ray(camera: CentralCamera, seed: int) -> None:
+def test_a_valid_pixel_returns_through_its_ray(camera: UnifiedCamera, seed: int) -> None:
     pixels = pixels_of(camera, seed)
     rays, valid = camera.unproject(pixels)
     assert np.allclose(np.linalg.norm(rays[valid], axis=-1), 1.0, atol=1e-12)
@@ -68,7 +69,7 @@ def test_a_valid_pixel_returns_through_its_ray(camera: CentralCamera, seed: int)
 
 
 @given(camera=cameras(), seed=seeds)
-def test_a_visible_ray_returns_through_its_pixel(camera: CentralCamera, seed: int) -> None:
+def test_a_visible_ray_returns_through_its_pixel(camera: UnifiedCamera, seed: int) -> None:
     rays = directions(seed)
     pixels, seen = camera.robot_pixels(rays)
     back, valid = camera.robot_rays(pixels[seen])
@@ -79,7 +80,7 @@ def test_a_visible_ray_returns_through_its_pixel(camera: CentralCamera, seed: in
 
 
 @given(camera=cameras(), seed=seeds)
-def test_what_is_not_seen_has_no_pixel_in_the_image(camera: CentralCamera, seed: int) -> None:
+def test_what_is_not_seen_has_no_pixel_in_the_image(camera: UnifiedCamera, seed: int) -> None:
     rays = directions(seed)
     pixels, seen = camera.project(rays)
     polar = np.degrees(np.arccos(np.clip(rays[:, 2], -1, 1)))
@@ -94,7 +95,7 @@ def test_what_is_not_seen_has_no_pixel_in_the_image(camera: CentralCamera, seed:
 
 
 @given(camera=cameras(xi=st.floats(1.05, 2.5)))
-def test_beyond_the_image_circle_there_is_no_ray(camera: CentralCamera) -> None:
+def test_beyond_the_image_circle_there_is_no_ray(camera: UnifiedCamera) -> None:
     radius = 1.0 / math.sqrt(camera.xi**2 - 1.0)
     for share, exists in ((0.999, True), (1.001, False)):
         turn = np.linspace(0.0, 2.0 * np.pi, 25)
@@ -107,7 +108,7 @@ def test_beyond_the_image_circle_there_is_no_ray(camera: CentralCamera) -> None:
 
 
 @given(camera=cameras(), seed=seeds)
-def test_jacobian_is_the_derivative(camera: CentralCamera, seed: int) -> None:
+def test_jacobian_is_the_derivative(camera: UnifiedCamera, seed: int) -> None:
     # Away from the plane where the model has no image, so that differences are accurate.
     rays = directions(seed)
     rays = rays[rays[:, 2] > 0.3 - min(camera.xi, 1.0 / max(camera.xi, 0.1))]
@@ -128,7 +129,7 @@ def test_jacobian_is_the_derivative(camera: CentralCamera, seed: int) -> None:
 
 @given(seed=seeds, fx=focal, ratio=st.floats(0.8, 1.2))
 def test_perspective_agrees_with_opencv(seed: int, fx: float, ratio: float) -> None:
-    camera = CentralCamera(
+    camera = UnifiedCamera(
         name="plain", width=640, height=480, xi=0.0, fx=fx, fy=fx * ratio, cx=310.0, cy=250.0
     )
     points = np.random.default_rng(seed).uniform((-2, -2, 1), (2, 2, 6), (50, 3))
@@ -141,7 +142,7 @@ def test_perspective_agrees_with_opencv(seed: int, fx: float, ratio: float) -> N
 
 
 @given(camera=cameras(), seed=seeds, scale=st.sampled_from([0.25, 0.5, 1.6, 2.0]))
-def test_resizing_keeps_the_field_of_view(camera: CentralCamera, seed: int, scale: float) -> None:
+def test_resizing_keeps_the_field_of_view(camera: UnifiedCamera, seed: int, scale: float) -> None:
     other = camera.resized(round(800 * scale), round(600 * scale))
     pixels = pixels_of(camera, seed)
     rays, valid = camera.unproject(pixels)
@@ -155,7 +156,7 @@ def test_resizing_keeps_the_field_of_view(camera: CentralCamera, seed: int, scal
 
 
 @given(camera=cameras())
-def test_rotation_is_a_rotation(camera: CentralCamera) -> None:
+def test_rotation_is_a_rotation(camera: UnifiedCamera) -> None:
     R = camera.rotation
     assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1.0)

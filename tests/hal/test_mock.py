@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.errors import InputError, LinkError
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.mock.backend import MockBackend, MockOptions, Purpose

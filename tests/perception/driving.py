@@ -10,7 +10,8 @@ from box_room import Room
 from numpy.typing import NDArray
 
 from visctrl.contracts import Context, Views
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame, Pose
 from visctrl.perception.klt import Klt, KltOptions
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from visctrl.contracts import Array, Context, Health
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.types import Features, Frame
 from visctrl.perception.features import FeaturesOptions, IdentifiedFeatures
 from visctrl.robots.errors import InputError

@@ -7,7 +7,7 @@ import pytest
 
 from visctrl.contracts import Context, Health, Views
 from visctrl.geometry.trifocal.tensor import tensor_from_poses
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Pose, Velocity
 from visctrl.perception.klt import Klt, KltOptions

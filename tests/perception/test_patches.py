@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from box_room import texture
 
-from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
 from visctrl.perception.patch_alignment import HALF, Patches, Source
 from visctrl.perception.unwrap import canvas_for
 

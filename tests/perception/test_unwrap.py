@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
 from visctrl.perception.unwrap import SEAM_PADDING_PX, Cylinder, FlatCanvas, canvas_for
 
 CYLINDERS = [name for name in camera_names() if name != "perspective"]

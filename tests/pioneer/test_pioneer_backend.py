@@ -9,13 +9,14 @@ import pytest
 from virtual_robot import Site
 
 from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.hal.errors import CameraError, InputError, LinkError
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.pioneer.backend import PioneerBackend, PioneerOptions
 from visctrl.hal.types import Pose, Velocity
 from visctrl.robots import load_robot
 
-MODEL = CentralCamera(
+MODEL = UnifiedCamera(
     name="test", width=160, height=120, xi=0.0, fx=100.0, fy=100.0, cx=79.5, cy=59.5
 )
 MakeBench = Callable[..., Any]
@@ -23,7 +24,7 @@ CAMERA = "http://camera/stream.mjpg"
 
 
 def backend(
-    port: str, source: str, model: CentralCamera = MODEL, true: CentralCamera | None = None
+    port: str, source: str, model: UnifiedCamera = MODEL, true: CentralCamera | None = None
 ) -> PioneerBackend:
     robot = load_robot("p3dx")
     options = PioneerOptions.model_validate({"port": port, "camera": {"source": source}})

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.contracts import Context, Health, Views
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Velocity
 from visctrl.robots.unicycle import step_exact
 

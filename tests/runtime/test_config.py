@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.cameras.files import write_camera
 from visctrl.robots.errors import InputError
 from visctrl.runtime.config import Override, load_scenario, parse_setting, scenario_names, to_yaml

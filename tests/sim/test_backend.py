@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.errors import CameraError, InputError, LinkError
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Frame, Pose, Velocity

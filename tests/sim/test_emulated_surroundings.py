@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from visctrl.hal.cameras.capture import CaptureCamera, CaptureOptions
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.clock import WallClock
 from visctrl.hal.errors import CameraError, InputError, StaleFrameError
 from visctrl.hal.types import Pose

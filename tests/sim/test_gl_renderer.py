@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.errors import InputError
 from visctrl.hal.types import Pose
 from visctrl.sim.render import gl_context

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
 from visctrl.sim.render.raycast import Candidates, RectangleSet, Seen, Tiles, cut_tiles
 from visctrl.sim.render.surfaces import Rectangle

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from visctrl.hal.cameras.central import CentralCamera, camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
 from visctrl.sim.render.accuracy import checker_room, measure_corners
 from visctrl.sim.render.renderer import Renderer

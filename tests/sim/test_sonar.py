@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.pioneer.subclasses import find_subclass
 from visctrl.hal.pioneer.telemetry import Echo, Telemetry

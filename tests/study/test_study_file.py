@@ -176,7 +176,7 @@ def test_a_scenario_beside_the_study_is_found(tmp_path: Path) -> None:
 
 
 def test_a_run_is_another_one_when_a_file_that_it_names_has_changed(tmp_path: Path) -> None:
-    from visctrl.hal.cameras.central import load_camera
+    from visctrl.hal.cameras.catalogue import load_camera
 
     camera = load_camera("fisheye")
     file = tmp_path / "camera.yaml"

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from visctrl.calibration.boards import Board, Corners
-from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.models.unified import UnifiedCamera
 
 Array = NDArray[np.float64]
 
@@ -188,11 +188,11 @@ class Bundle:
         return poses
 
 
-def camera_from(fit: Fit, size: tuple[int, int], name: str) -> CentralCamera:
+def camera_from(fit: Fit, size: tuple[int, int], name: str) -> UnifiedCamera:
     """Return a fit as a camera that sees everything its model can."""
     xi, fx, fy, cx, cy = fit.intrinsics.tolist()
     width, height = size
-    return CentralCamera(
+    return UnifiedCamera(
         name=name, width=width, height=height, xi=xi, fx=fx, fy=fy, cx=cx, cy=cy, max_polar_deg=180
     )
 
@@ -200,7 +200,7 @@ def camera_from(fit: Fit, size: tuple[int, int], name: str) -> CentralCamera:
 def _project(intrinsics: Array, points: Array) -> Array:
     """Return the images (N, 2) of points in camera axes, wherever the model leads (1.6), (1.7).
 
-    Unlike `CentralCamera.project` it has no field of view: a fit may pass outside of it.
+    Unlike `UnifiedCamera.project` it has no field of view: a fit may pass outside of it.
     """
     xi, fx, fy, cx, cy = intrinsics
     depth = points[:, 2] + xi * np.linalg.norm(points, axis=1)

@@ -20,9 +20,9 @@ from visctrl.calibration.boards import Board
 from visctrl.calibration.camera import BoardView, Calibration, Model, calibrate
 from visctrl.calibration.centre import Centre, find_centre
 from visctrl.calibration.edges import Segments, find_segments
-from visctrl.hal.cameras.central import CentralCamera, load_camera
-from visctrl.hal.cameras.files import FORMATS, Format, read_camera, widest_polar_deg, write_camera
-from visctrl.robots.documents import validate
+from visctrl.hal.cameras.catalogue import load_camera, parse_camera
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.files import FORMATS, Format, read_camera, write_camera
 from visctrl.robots.errors import InputError
 from visctrl.runtime.recording import SUFFIXES, image_files, read_image
 
@@ -137,7 +137,7 @@ def convert(source: str, out: Path, form: str, changes: dict[str, Any]) -> None:
     """
     camera = _camera(source)
     if changes:
-        camera = validate({**camera.model_dump(), **changes}, CentralCamera, source)
+        camera = parse_camera({**camera.model_dump(), **changes}, source)
     write_camera(camera, out, _format(form))
 
 
@@ -180,11 +180,11 @@ def _mounted(result: Calibration, mounting: Mounting) -> CentralCamera:
     """Return the camera with its field of view and the way it is mounted."""
     camera = result.camera
     if mounting.mirrored:
-        camera = camera.altered(fx=-camera.fx, cx=camera.width - 1 - camera.cx)
+        camera = camera.stretched(-1.0, 1.0).altered(cx=camera.width - 1 - camera.cx)
     if mounting.polar_deg is not None:
         low, high = mounting.polar_deg
     elif mounting.axis == "forward":
-        low, high = 0.0, widest_polar_deg(camera)
+        low, high = 0.0, camera.widest_polar_deg
     else:
         low, high = (math.degrees(angle) for angle in result.polar)
     try:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from visctrl.hal.cameras.central import camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera
 from visctrl.robots import load_robot, robot_names
 from visctrl.runtime.config import (
     Override,
@@ -66,7 +66,7 @@ def show_scenario(name: str, overrides: Sequence[Override], *, resolve: bool) ->
 
 def _camera_line(name: str) -> str:
     camera = load_camera(name)
-    return f"{camera.width}x{camera.height}, xi {camera.xi:g}, looks {camera.optical_axis}"
+    return f"{camera.width}x{camera.height}, {camera.model}, looks {camera.optical_axis}"
 
 
 def _show(console: Console, title: str, rows: Iterable[tuple[str, str]]) -> None:

@@ -115,7 +115,7 @@ class FlatCanvas(Canvas):
     def __init__(self, camera: CentralCamera) -> None:
         self._camera = camera
         self.shape = (camera.height, camera.width)
-        self.scale = abs(camera.fx)
+        self.scale = camera.pixels_per_radian
         _, seen = camera.robot_rays(_grid(self.shape))
         self.field = self.mask = np.where(seen, 255, 0).astype(np.uint8)
 
@@ -225,7 +225,7 @@ class Cylinder(Canvas):
 
 
 def canvas_for(camera: CentralCamera, scale: float | None = None) -> Canvas:
-    """Return the canvas for a camera: its image where ξ = 0 and it looks ahead, else a cylinder.
+    """Return the canvas for a camera: its image if rectilinear and ahead, else a cylinder.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def canvas_for(camera: CentralCamera, scale: float | None = None) -> Canvas:
     scale : float, optional
         Pixels per radian of the cylinder; by default the camera's own density on the horizon.
     """
-    if camera.xi == 0.0 and not camera.panoramic:
+    if camera.rectilinear and not camera.panoramic:
         return FlatCanvas(camera)
     return Cylinder(camera, _horizon_density(camera) if scale is None else scale)
 

@@ -11,7 +11,8 @@ from visctrl.calibration.boards import Board
 from visctrl.calibration.camera import BoardView, calibrate
 from visctrl.calibration.centre import find_centre
 from visctrl.calibration.edges import Segments, find_segments
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
 from visctrl.reproduce.entry import Bench, Row, at_most
 from visctrl.sim.render.board_images import hold, photographed

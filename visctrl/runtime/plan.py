@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from visctrl.contracts import Context, Controller, Estimator, ObstacleProvider, Perception
-from visctrl.hal.cameras.central import CentralCamera, load_camera
+from visctrl.hal.cameras.catalogue import load_camera, parse_camera
+from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.cameras.files import read_camera
 from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup
 from visctrl.robots import Limits, Robot, load_robot
@@ -350,15 +351,15 @@ def _target(file: str | None, camera: CentralCamera) -> TargetView | None:
 def _true(camera: CentralCamera, error: CameraError) -> CentralCamera:
     if error == CameraError():
         return camera
+    known = camera.stretched(error.focal_scale, error.focal_scale).model_dump()
     changes = {
-        "fx": camera.fx * error.focal_scale,
-        "fy": camera.fy * error.focal_scale,
         "cx": camera.cx + error.cx_px,
         "cy": camera.cy + error.cy_px,
-        "xi": camera.xi + error.xi,
         "pitch_deg": camera.pitch_deg + error.tilt_deg,
     }
-    return validate({**camera.model_dump(), **changes}, CentralCamera, "the true camera")
+    if error.xi != 0.0:
+        changes["xi"] = known.get("xi", 0.0) + error.xi
+    return parse_camera({**known, **changes}, "the true camera")
 
 
 def _at(loaded: LoadedScenario, path: tuple[str, ...], look_up: Callable[[], T]) -> T:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame, Pose
-from visctrl.robots.documents import validate
 from visctrl.robots.errors import InputError
 
 #: Raised when what a file holds changes.
@@ -84,9 +84,9 @@ class TargetView:
         """
         taken, used = self.camera.model_dump(), camera.model_dump()
         different = [
-            f"{key} {taken[key]} there, {used[key]} here"
-            for key in taken
-            if key not in _HARMLESS and not _same(taken[key], used[key])
+            f"{key} {taken.get(key, 'none')} there, {used.get(key, 'none')} here"
+            for key in taken | used
+            if key not in _HARMLESS and not _same(taken.get(key), used.get(key))
         ]
         if different:
             raise InputError(
@@ -114,7 +114,7 @@ def load_target(path: Path) -> TargetView:
     images = content["images"]
     if images.ndim != 3 or images.dtype != np.uint8 or len(images) == 0:
         raise InputError(f"{path}: expected 8-bit grey images, found {images.dtype} {images.shape}")
-    camera = validate(json.loads(str(content["camera"])), CentralCamera, f"{path}: camera")
+    camera = parse_camera(json.loads(str(content["camera"])), f"{path}: camera")
     if images.shape[1:] != (camera.height, camera.width):
         raise InputError(f"{path}: its images do not have the size of its camera")
     facts = json.loads(str(content["facts"]))

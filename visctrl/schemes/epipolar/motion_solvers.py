@@ -302,7 +302,7 @@ def solver_for(name: Solver, camera: CentralCamera) -> PairSolver:
     InputError
         ``planar-free`` for a camera that is not perspective.
     """
-    perspective = camera.xi == 0.0 and not camera.panoramic
+    perspective = camera.rectilinear and not camera.panoramic
     if name == "eight-point":
         return EightPoint(uncalibrated=perspective)
     if name == "auto":

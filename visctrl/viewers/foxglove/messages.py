@@ -194,18 +194,18 @@ def _jpeg(frame: Frame, camera: CentralCamera) -> bytes:
 def _calibration(camera: CentralCamera, stamp: messages.Timestamp) -> messages.CameraCalibration:
     """Return the calibration; only a perspective camera has a projection matrix P.
 
-    ``distortion_model`` names the unified central model (ξ in D[0]) where it is not perspective.
+    ``distortion_model`` is the model where it is not perspective, D its coefficients.
     """
-    K = [camera.fx, camera.skew, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
-    perspective = camera.xi == 0.0
+    K = camera.K.ravel().tolist()
+    perspective = camera.rectilinear
     P = [*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0]
     return messages.CameraCalibration(
         timestamp=stamp,
         frame_id=_CAMERA,
         width=camera.width,
         height=camera.height,
-        distortion_model="" if perspective else "unified_central",
-        D=[] if perspective else [camera.xi],
+        distortion_model="" if perspective else camera.model,
+        D=[] if perspective else list(camera.coefficients.values()),
         K=K,
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         P=P if perspective else [0.0] * 12,

@@ -1,0 +1,1 @@
+"""Projection models, one a file; a file's name is the model's, with _ for -."""
