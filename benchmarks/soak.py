@@ -32,6 +32,7 @@ from visctrl.runtime.config import scenario_from
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import REGISTRIES
+from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.session import run_session
 
 HOUR_S = 3600.0
@@ -143,7 +144,9 @@ def is_ordered(message: str) -> bool:
 def soak_one(hours: float, seed: int, folder: Path) -> dict[str, Any]:
     """Make the long run; return what it came to."""
     memory = MemoryLog()
-    outcome = run_session(long_run(hours, seed), folder, observers=[memory])
+    outcome = run_session(
+        long_run(hours, seed), RunDirectory(folder, overwrite=True), observers=[memory]
+    )
     summary = outcome.summary
     sizes = {path.name: path.stat().st_size for path in folder.rglob("*") if path.is_file()}
     tables = sizes["ticks.csv"] + sizes["trajectory.tum"]
@@ -171,7 +174,7 @@ def soak_many(hours: float, seed: int, folder: Path) -> dict[str, Any]:
     ends: Counter[str] = Counter()
     settled: tuple[float, int, int] | None = None
     for plan in short_runs(seed):
-        outcome = run_session(plan, folder)
+        outcome = run_session(plan, RunDirectory(folder, overwrite=True))
         summary = outcome.summary
         simulated += summary["duration_s"]
         runs += 1

@@ -20,3 +20,12 @@ class InputError(VisctrlError, ValueError):
     """
 
     exit_code = 2
+
+
+class DiskError(VisctrlError):
+    """What shall be kept cannot be written, for want of room or of a working disk.
+
+    Examples: no space left, a quota used up, a broken medium. Another name would not help.
+    """
+
+    exit_code = 3

@@ -22,6 +22,7 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.robots.documents import parse_yaml
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import write_text, writing
 
 Format = Literal["visctrl", "kalibr", "opencv"]
 FORMATS: tuple[Format, ...] = ("visctrl", "kalibr", "opencv")
@@ -65,14 +66,12 @@ def write_camera(camera: CentralCamera, path: Path, form: Format) -> None:
 
     Raises
     ------
-    InputError
+    InputError, DiskError
         The format cannot hold this camera, or the file cannot be written.
     """
     text = {"visctrl": _plain_text, "kalibr": _kalibr_text, "opencv": _opencv_text}[form](camera)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    with writing(path):
+        write_text(path, text)
 
 
 # --- writing -------------------------------------------------------------------------------

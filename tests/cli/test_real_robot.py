@@ -90,7 +90,7 @@ def run(visctrl: Callable[..., tuple[int, str, str]], robot: Emulator) -> Run:
     """Return a function that runs the scenario; it gives exit code, summary and messages."""
 
     def call(*arguments: str) -> tuple[int, dict[str, object], str]:
-        command = ["run", "toy.yaml", "--json", "--quiet", "--out", "o"]
+        command = ["run", "toy.yaml", "--json", "--quiet", "--out", "o", "--overwrite"]
         devices = ["--port", robot.url, "--camera-url", CAMERA]
         code, out, err = visctrl(*command, *devices, *arguments)
         return code, json.loads(out) if out else {}, err

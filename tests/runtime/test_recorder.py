@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_plugins import SpyBackend
 
 from visctrl.robots.errors import InputError
 from visctrl.runtime.plan import Plan
-from visctrl.runtime.recorder import FILES, Recorder, RunDirectory
+from visctrl.runtime.recorder import Recorder
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
 from visctrl.viewers.report.ticks import read_ticks
@@ -98,30 +99,24 @@ def test_files_that_are_no_tick_logs_are_refused(tmp_path: Path) -> None:
         read_ticks(tmp_path / "ticks.csv")
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_run(
-    toy_plan: MakePlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("realtime", [False, True])
+def test_a_full_disk_ends_the_run_with_the_robot_standing(
+    toy_plan: MakePlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, realtime: bool
 ) -> None:
+    written = 0
+
     def full(self: Recorder, record: TickRecord) -> None:
-        raise OSError(28, "No space left on device")
+        nonlocal written
+        written += 1
+        if written > 5:
+            raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Recorder, "_write", full)
-    outcome = run_session(toy_plan(), tmp_path / "run")
-    assert outcome.summary["status"] == "reached"
-    assert any("No space left" in note for note in outcome.notes)
-
-
-def test_a_run_replaces_the_files_of_an_earlier_one_and_no_others(tmp_path: Path) -> None:
-    for name in (*FILES, "notes.txt"):
-        (tmp_path / name).write_text("old")
-    directory = RunDirectory(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {"config.yaml", "notes.txt"}
-    directory.discard()
-    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt"}
-
-
-def test_a_directory_that_cannot_be_written_to_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="--out"):
-        RunDirectory(tmp_path / "file")
-    with pytest.raises(InputError, match="--out"):
-        RunDirectory(tmp_path / "file" / "below")
+    outcome = run_session(toy_plan({"realtime": realtime}), tmp_path / "run")
+    assert outcome.exit_code == 3
+    assert outcome.summary["status"] == "fault"
+    assert "No space left" in outcome.summary["reason"]
+    assert (tmp_path / "run" / "summary.json").exists()
+    (backend,) = SpyBackend.opened
+    assert backend.closed == 1
+    assert len(backend.commands) <= 8, "it is stopped at once"

@@ -31,7 +31,7 @@ MakePlan = Callable[..., Plan]
 
 FILES = {
     *("config.yaml", "ticks.csv", "trajectory.tum", "summary.json"),
-    *("target.png", "initial.png", "final.png", "report.html"),
+    *("target.png", "initial.png", "final.png", "report.html", ".visctrl-run"),
 }
 
 

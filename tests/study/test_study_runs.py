@@ -243,7 +243,7 @@ def test_the_parquet_table_is_the_csv_table(tmp_path: Path) -> None:
             ["study", "noise", "--cluster", "host:1", "--workers", "2"],
             "a cluster has its own workers",
         ),
-        (["study", "noise", "--out", "/dev/null/x"], "--out /dev/null/x: cannot be used"),
+        (["study", "noise", "--out", "/dev/null/x"], "--out /dev/null/x: cannot be written"),
     ],
 )
 def test_what_cannot_be_used_is_refused(

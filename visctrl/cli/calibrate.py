@@ -24,6 +24,7 @@ from visctrl.hal.cameras.catalogue import load_camera, parse_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.cameras.files import FORMATS, Format, read_camera, write_camera
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import write_bytes, writing
 from visctrl.runtime.recording import SUFFIXES, image_files, read_image
 
 Grey = NDArray[np.uint8]
@@ -146,18 +147,20 @@ def draw_board(board: Board, out: Path, px_per_square: int) -> None:
 
     Raises
     ------
-    InputError
+    InputError, DiskError
         The file cannot be written.
     """
     import cv2
 
     picture, _ = board.picture(px_per_square)
     try:
-        written = cv2.imwrite(str(out), picture)
+        encoded, data = cv2.imencode(out.suffix or ".", picture)
     except cv2.error:
-        written = False
-    if not written:
+        encoded = False
+    if not encoded:
         raise InputError(f"{out}: cannot be written as a picture: name a .png")
+    with writing(out):
+        write_bytes(out, data.tobytes())
     width, height = (100.0 * side for side in board.size_m)
     print(f"{out}: print it so that the squares together measure {width:g} x {height:g} cm")
 

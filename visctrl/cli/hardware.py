@@ -12,6 +12,8 @@ from typing import Annotated
 
 import typer
 
+from visctrl.cli.options import SharedOption
+
 
 def add_hardware_commands(app: typer.Typer) -> None:
     """Add the commands to the command line."""
@@ -76,6 +78,7 @@ def teach_command(
         typer.Option(metavar="FILE", help="Picture with the features; FILE.png if left out."),
     ] = None,
     settings: SetOption = None,
+    shared: SharedOption = False,
 ) -> None:
     """Take the target view where the robot stands, and say how well it will serve.
 
@@ -91,7 +94,7 @@ def teach_command(
         camera=camera,
     )
     flags = {"--port": port, "--camera-url": camera_url}
-    _finish(lambda: teach(scenario, overrides, flags, out, frames, preview))
+    _finish(lambda: teach(scenario, overrides, flags, out, frames, preview, shared=shared))
 
 
 def emulate_command(

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from visctrl.cli.calibration import calibration
+from visctrl.cli.options import OverwriteOption, SharedOption
 
 
 def add_image_commands(app: typer.Typer) -> None:
@@ -62,6 +63,8 @@ def replay_command(
         Path | None,
         typer.Option(metavar="DIR", help="Directory for the results; runs/DATE-... if left out."),
     ] = None,
+    overwrite: OverwriteOption = False,
+    shared: SharedOption = False,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 as well.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary on stdout, and only that.")
@@ -74,6 +77,7 @@ def replay_command(
     """
     from visctrl.cli.overrides import flag_overrides
     from visctrl.cli.replay import replay_images
+    from visctrl.cli.run import Place
     from visctrl.runtime.config import Override
 
     # Options set with --set are those of the plugins named here, whatever the order.
@@ -87,4 +91,5 @@ def replay_command(
         if value is not None
     ]
     overrides = named + flag_overrides(settings=settings, camera=camera, seed=seed)
-    replay_images(source, overrides, target, out, video=video, as_json=as_json, quiet=quiet)
+    place = Place(out, overwrite, shared)
+    replay_images(source, overrides, target, place, video=video, as_json=as_json, quiet=quiet)

@@ -10,6 +10,7 @@ import typer
 
 from visctrl.cli.hardware import add_hardware_commands
 from visctrl.cli.images import add_image_commands
+from visctrl.cli.options import OverwriteOption, SharedOption
 from visctrl.threads import limit_linear_algebra
 
 _INTERRUPTED = 130
@@ -149,6 +150,8 @@ def run_command(
         Path | None,
         typer.Option(metavar="DIR", help="Run directory; runs/DATE-... if left out."),
     ] = None,
+    overwrite: OverwriteOption = False,
+    shared: SharedOption = False,
     video: Annotated[bool, typer.Option("--video", help="Write an MP4 as well.")] = False,
     web: Annotated[
         bool, typer.Option("--web", help="Serve a page to watch and stop the robot.")
@@ -187,7 +190,7 @@ def run_command(
     Exit code: 0 reached, 1 missed or lost, 2 bad input, 3 device or plugin fault, 130 Ctrl-C.
     """
     from visctrl.cli.overrides import flag_overrides
-    from visctrl.cli.run import run
+    from visctrl.cli.run import Place, run
     from visctrl.cli.watching import Watching
 
     overrides = flag_overrides(
@@ -220,7 +223,7 @@ def run_command(
             scenario,
             overrides,
             flags,
-            out,
+            Place(out, overwrite, shared),
             video=video,
             as_json=as_json,
             quiet=quiet,
@@ -364,8 +367,13 @@ def study_command(
     ] = None,
     cluster: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Run on a Dask cluster, as tcp://host:8786."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Run on a Dask cluster, as tcp://host:8786. It runs code that is sent to it, and "
+            "what it answers is trusted as code is: use one that is yours alone.",
+        ),
     ] = None,
+    shared: SharedOption = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary on stdout, and only that.")
     ] = False,
@@ -381,7 +389,7 @@ def study_command(
     from visctrl.cli.study import study as run_study
 
     try:
-        code = run_study(study, out, workers, cluster, as_json=as_json, quiet=quiet)
+        code = run_study(study, out, workers, cluster, as_json=as_json, quiet=quiet, shared=shared)
     except KeyboardInterrupt:
         code = _INTERRUPTED
     raise typer.Exit(code)

@@ -24,6 +24,7 @@ from visctrl.geometry.pose_outputs import epipole_bearings, normalised_elements
 from visctrl.geometry.trifocal.tensor import ELEMENTS
 from visctrl.planning.paths import ParabolicPath
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import replacing, writing
 
 Array = NDArray[np.float64]
 
@@ -213,7 +214,11 @@ def _planned(
 
 
 def _write(out: Path, rows: list[dict[str, Any]]) -> None:
-    with out.open("w", newline="", encoding="utf-8") as file:
+    with (
+        writing(out),
+        replacing(out) as fresh,
+        fresh.open("w", newline="", encoding="utf-8") as file,
+    ):
         names = [name for name in rows[0] if name != "lost"] if rows else []
         writer = csv.DictWriter(file, names, extrasaction="ignore")
         writer.writeheader()

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from visctrl.cli.run import RUNS
+from visctrl.cli.run import RUNS, Place, stem
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import absolute
 from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.images import TICK
 from visctrl.runtime.recording import Recording, open_recording
@@ -25,7 +25,7 @@ def replay_images(
     source: Path,
     overrides: Sequence[Override],
     target: Path | None,
-    out: Path | None,
+    place: Place,
     *,
     video: bool,
     as_json: bool,
@@ -38,6 +38,7 @@ def replay_images(
     InputError
         Images or options cannot be used.
     """
+    runs = absolute(RUNS)
 
     def rate_hz() -> float:
         known = REGISTRIES.backends.known()
@@ -47,8 +48,10 @@ def replay_images(
     if recording.camera is None and not any(o.path == ("camera", "name") for o in overrides):
         raise InputError(f"{source}: say with --camera which camera took these images")
     plan = plan_replay(load_for_replay(recording, overrides))
-    _distinct(source, out)
-    directory = out if out is not None else _fresh_directory(plan.perception.name)
+    _distinct(source, place.out)
+    if not _ticks(recording):
+        raise InputError(f"{source}: holds no tick to replay: the run ended before it began")
+    directory = place.claim(runs, stem(f"replay-{plan.perception.name}"))
     console = Console(stderr=True)
     with Progress(console=console, disable=quiet, transient=True) as bar:
         watch = _Watch(bar, bar.add_task("replay", total=_ticks(recording)))
@@ -56,7 +59,7 @@ def replay_images(
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
     elif not quiet:
-        _show(summary, directory)
+        _show(summary, directory.path)
 
 
 class _Watch(Observer):
@@ -75,12 +78,6 @@ def _distinct(source: Path, out: Path | None) -> None:
     """Refuse to write over what is read."""
     if out is not None and out.resolve() in (source.resolve(), source.resolve().parent):
         raise InputError(f"--out {out}: this would replace the recording: choose another directory")
-
-
-def _fresh_directory(perception: str) -> Path:
-    stem = f"{datetime.now():%Y%m%d-%H%M%S}-replay-{perception}"
-    candidates = (RUNS / (stem if n == 1 else f"{stem}-{n}") for n in range(1, 1000))
-    return next(path for path in candidates if not path.exists())
 
 
 def _show(summary: Mapping[str, Any], directory: Path) -> None:

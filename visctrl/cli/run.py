@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -16,19 +17,47 @@ from rich.console import Console
 from visctrl.cli.overrides import load_for_backend
 from visctrl.cli.progress import Progress
 from visctrl.cli.watching import Watching, watchers
+from visctrl.robots.files import absolute
 from visctrl.runtime.config import Override
-from visctrl.runtime.plan import Plan, make_plan
+from visctrl.runtime.plan import make_plan
+from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.session import Outcome, run_session
 
 RUNS = Path("runs")
 NOBODY = Watching()
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where files go.
+
+    out : directory, None for a new one below ``runs/``.
+    overwrite : an earlier run's files there may be replaced.
+    shared : other users may read them.
+    """
+
+    out: Path | None = None
+    overwrite: bool = False
+    shared: bool = False
+
+    def claim(self, runs: Path, stem: str) -> RunDirectory:
+        """Return the directory ``out``, or a new one named ``stem`` below ``runs``.
+
+        Raises
+        ------
+        InputError, DiskError
+            It cannot be used.
+        """
+        if self.out is None:
+            return RunDirectory.numbered(runs, stem, shared=self.shared)
+        return RunDirectory(self.out, overwrite=self.overwrite, shared=self.shared)
+
+
 def run(
     scenario: str,
     overrides: Sequence[Override],
     flags: Mapping[str, Any],
-    out: Path | None,
+    place: Place,
     *,
     video: bool,
     as_json: bool,
@@ -41,17 +70,18 @@ def run(
 
     Raises
     ------
-    InputError
+    InputError, DiskError
         Something cannot be used; nothing has been started.
     """
+    runs = absolute(RUNS)
     plan = make_plan(load_for_backend(scenario, overrides, flags))
-    directory = out if out is not None else _fresh_directory(plan)
     console = Console(stderr=True)
     with (
         _stdout_as_stderr(),
         watchers(plan, watching) as outside,
         Progress(console, plan, enabled=not quiet) as progress,
     ):
+        directory = place.claim(runs, stem(f"{plan.scenario.backend}-{plan.scenario.scheme}"))
         observers = [progress, *outside.observers]
         outcome = run_session(
             plan, directory, video=video, mcap=watching.mcap, observers=observers, stop=outside.stop
@@ -86,12 +116,9 @@ def _stdout_as_stderr() -> Iterator[None]:
         os.close(kept)
 
 
-def _fresh_directory(plan: Plan) -> Path:
-    """Return a new name under ``runs/`` that says when and what."""
-    scenario = plan.scenario
-    stem = f"{datetime.now():%Y%m%d-%H%M%S}-{scenario.backend}-{scenario.scheme}"
-    candidates = (RUNS / (stem if n == 1 else f"{stem}-{n}") for n in range(1, 1000))
-    return next(path for path in candidates if not path.exists())
+def stem(what: str) -> str:
+    """Return a name for a new directory that says when and what."""
+    return f"{datetime.now():%Y%m%d-%H%M%S}-{what}"
 
 
 def _show(outcome: Outcome) -> None:

@@ -14,11 +14,12 @@ from rich.table import Table
 
 from visctrl.cli.study_progress import StudyProgress
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import absolute, owner_only, write_text, writing
 from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.study.log import StudyLog
 from visctrl.study.runner import run_study, table_rows
 from visctrl.study.summary import SUMMARY, summarised
-from visctrl.study.table import Row, write_table, write_text
+from visctrl.study.table import Row, write_table
 from visctrl.study.trials import LoadedStudy, load_study
 from visctrl.study.workers import LocalWorkers, Workers, default_workers
 
@@ -36,6 +37,7 @@ def study(
     *,
     as_json: bool,
     quiet: bool,
+    shared: bool = False,
 ) -> int:
     """Run a study and report; return the exit code.
 
@@ -45,16 +47,18 @@ def study(
         The study, one of its scenarios, the folder or the cluster cannot be used; nothing has
         been run.
     """
+    runs = absolute(RUNS)
     loaded = load_study(name)
-    folder = out if out is not None else RUNS / f"study-{Path(loaded.origin).stem}"
+    folder = absolute(out) if out is not None else runs / f"study-{Path(loaded.origin).stem}"
     console = Console(stderr=True, quiet=quiet)
-    with StudyProgress(console) as progress:
+    with owner_only(unless=shared), StudyProgress(console) as progress:
         loaded.check(progress.checked)
         with _workers(workers, cluster) as place, StudyLog(folder) as log:
             rows, interruption = _run(loaded, log, place, progress)
             summary = summarised(loaded.study, loaded.origin, rows)
-            files = write_table(rows, folder)
-            write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
+            with writing(folder):
+                files = write_table(rows, folder)
+                write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
     if as_json:
         print(json.dumps({**summary, "table": str(files[0])}, indent=2))
     elif not quiet:

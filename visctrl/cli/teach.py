@@ -17,6 +17,7 @@ from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Frame
 from visctrl.perception.quality import Quality, assess
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import absolute, owner_only
 from visctrl.runtime.config import Override
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import Plan, make_plan
@@ -49,6 +50,8 @@ def teach(
     out: Path,
     count: int,
     preview: Path | None,
+    *,
+    shared: bool = False,
 ) -> int:
     """Take ``count`` pictures where the robot stands (a simulated one visits its target).
 
@@ -56,9 +59,11 @@ def teach(
 
     Raises
     ------
-    InputError, DeviceError
-        A device or option cannot be used, or the view cannot serve as a target.
+    InputError, DeviceError, DiskError
+        A device, file or option cannot be used, or the view cannot serve as a target.
     """
+    out = absolute(out)
+    picture = absolute(preview or out.with_suffix(".png"))
     untaught = Override(("target", "file"), None, "visctrl teach")
     loaded = load_for_backend(scenario, [*overrides, untaught], flags)
     plan = make_plan(loaded)
@@ -76,9 +81,9 @@ def teach(
         )
     quality = assess(frames, plan.camera)
     findings = judge(quality)
-    view.save(out)
-    picture = preview or out.with_suffix(".png")
-    _save_preview(picture, frames[0], plan, quality)
+    with owner_only(unless=shared):
+        view.save(out)
+        _save_preview(picture, frames[0], plan, quality)
     _show(out, picture, findings)
     return 0
 

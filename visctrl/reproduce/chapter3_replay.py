@@ -17,6 +17,7 @@ from visctrl.runtime.config import parse_setting
 from visctrl.runtime.recorder import TICKS
 from visctrl.runtime.recording import open_recording
 from visctrl.runtime.replay import load_for_replay, plan_replay, replay
+from visctrl.runtime.run_directory import RunDirectory
 from visctrl.study.jobs import Job
 from visctrl.viewers.report.ticks import Ticks, read_ticks
 
@@ -83,7 +84,7 @@ def _row(element: str, pair: str, sift: Array, tracked: Array) -> Row:
 def _replay(recording: Path, settings: tuple[str, ...], out: Path) -> None:
     images = open_recording(recording, None, lambda: 10.0)
     plan = plan_replay(load_for_replay(images, [parse_setting(text) for text in settings]))
-    replay(images, plan, out)
+    replay(images, plan, RunDirectory(out, overwrite=True))
 
 
 def _errors(directory: Path) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from visctrl.runtime.consistency import NAME, chi_square_bounds
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
 from visctrl.schemes.pose.estimate import Need, PoseEstimate
-from visctrl.study.jobs import Job, plan_of
+from visctrl.study.jobs import Job, directory_of, plan_of
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ class Trace(Observer):
 def run_traced(job: Job) -> dict[str, Any]:
     """Run a job and return its summary with its ``trace``, an array (ticks, `COLUMNS`)."""
     trace = Trace()
-    summary = run_session(plan_of(job), job.out, observers=[trace]).summary
+    summary = run_session(plan_of(job), directory_of(job), observers=[trace]).summary
     return {**summary, "trace": trace.array()}
 
 

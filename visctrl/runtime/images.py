@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from visctrl.contracts import Match
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame
+from visctrl.robots.errors import DiskError
+from visctrl.robots.files import write_bytes, write_text
 from visctrl.runtime.recorder import IMAGES
 from visctrl.runtime.records import Observer, TickRecord
 
@@ -54,8 +56,9 @@ class ImageRecorder(Observer):
         self._camera = camera
         #: Whether a tick may wait for the disk.
         self.may_wait = True
-        #: What went wrong, empty if nothing.
+        #: What went wrong, empty if nothing, and whether images are cut short.
         self.problem = ""
+        self.failed = False
         self._given_up = 0
         self._targets = 0
         self._last: tuple[int, str] | None = None
@@ -74,7 +77,15 @@ class ImageRecorder(Observer):
         self._use(INITIAL, "", frame, 0.0, wait=True)
 
     def on_tick(self, record: TickRecord) -> None:
-        """Write the frame of a tick."""
+        """Write the frame of a tick.
+
+        Raises
+        ------
+        DiskError
+            Writing has failed: a run that shall keep its images ends where it cannot.
+        """
+        if self.failed:
+            raise DiskError(self.problem)
         age = record.tick.start - record.frame.stamp
         self._use(TICK, record.number, record.frame, age, wait=self.may_wait)
 
@@ -119,6 +130,7 @@ class ImageRecorder(Observer):
                 index.flush()
         except OSError as error:
             self.problem = f"recording images ended early: {error.strerror or error}"
+            self.failed = True
             while self._queue.get() is not None:
                 pass
         finally:
@@ -128,7 +140,7 @@ class ImageRecorder(Observer):
     def _open(self) -> TextIO:
         self._folder.mkdir(exist_ok=True)
         text = yaml.safe_dump(self._camera.model_dump(mode="json"), sort_keys=False)
-        (self._folder / CAMERA).write_text(text, encoding="utf-8")
+        write_text(self._folder / CAMERA, text)
         return (self._folder / INDEX).open("w", encoding="utf-8", newline="")
 
     def _save(self, name: str, image: NDArray[np.uint8]) -> None:
@@ -137,4 +149,4 @@ class ImageRecorder(Observer):
         ok, data = cv2.imencode(".png", image, (cv2.IMWRITE_PNG_COMPRESSION, _COMPRESSION))
         if not ok:
             raise OSError(f"{name} cannot be encoded as PNG")
-        (self._folder / name).write_bytes(data.tobytes())
+        write_bytes(self._folder / name, data.tobytes())

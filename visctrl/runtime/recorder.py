@@ -1,21 +1,19 @@
-"""The run directory: what a run leaves behind, written while it goes on."""
+"""The log of a run, written while it goes on, and the names of the files that a run leaves."""
 
 from __future__ import annotations
 
 import csv
-import json
 import math
-import shutil
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 from visctrl.contracts import Signal
 from visctrl.hal.types import Pose
-from visctrl.robots.errors import InputError
+from visctrl.robots.errors import DiskError
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 
 TICKS, TRAJECTORY, SUMMARY, CONFIG = "ticks.csv", "trajectory.tum", "summary.json", "config.yaml"
@@ -43,49 +41,6 @@ WORDS = frozenset({"stage", "phase", "views_health", "estimate_health", "event",
 TIMING = ("lateness [ms]", "missed", "blame", *(f"{name} [ms]" for name in STAGES[:-1]))
 
 
-class RunDirectory:
-    """A directory for the files of one run; those of an earlier run in it are replaced.
-
-    Parameters
-    ----------
-    path : Path
-        Created if it does not exist.
-
-    Raises
-    ------
-    InputError
-        It cannot be created or written to.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._is_new = not path.exists()
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            for name in FILES:
-                (path / name).unlink(missing_ok=True)
-            shutil.rmtree(path / IMAGES, ignore_errors=True)
-            (path / CONFIG).touch()
-        except OSError as error:
-            raise InputError(f"--out {path}: cannot be written to: {error.strerror}") from None
-
-    def discard(self) -> None:
-        """Leave nothing behind: the run has not begun."""
-        for name in FILES:
-            (self.path / name).unlink(missing_ok=True)
-        shutil.rmtree(self.path / IMAGES, ignore_errors=True)
-        if self._is_new:
-            self.path.rmdir()
-
-    def write_text(self, name: str, text: str) -> None:
-        """Write a small file."""
-        (self.path / name).write_text(text, encoding="utf-8")
-
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write ``summary.json``."""
-        self.write_text(SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-
-
 class Reporting(Protocol):
     """Anything with numbers for columns: a plugin, or what judges one."""
 
@@ -97,8 +52,9 @@ class Recorder(Observer):
 
     The trajectory is the true pose where it is known, else the odometry, in REP-103 axes. On
     the wall clock a thread does the writing, so that a slow disk never delays a tick; where
-    time stands still during a tick, the tick does it. What is written is flushed every second,
-    so that a crash leaves a readable log.
+    time stands still during a tick, the tick does it. What is written is flushed twice a second,
+    so that a crash leaves a readable log. A run whose record cannot be kept ends: `on_tick` raises
+    `DiskError` once the disk is full.
 
     Parameters
     ----------
@@ -120,8 +76,9 @@ class Recorder(Observer):
         self._rows.writerow((*_CORE, *self._signals.values(), *TIMING))
         self._flushed_at = -math.inf
         self._given_up = 0
-        #: What went wrong, empty if nothing.
+        #: What went wrong, empty if nothing, and whether the log is cut short.
         self.problem = ""
+        self.failed = False
         self._queue: SimpleQueue[TickRecord | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
         if not lockstep:
@@ -129,15 +86,21 @@ class Recorder(Observer):
             self._thread.start()
 
     def on_tick(self, record: TickRecord) -> None:
-        """Write a tick, or queue it for writing."""
-        if self.problem:
-            return
+        """Write a tick, or queue it for writing.
+
+        Raises
+        ------
+        DiskError
+            Writing has failed.
+        """
         if self._thread is None:
             self._write_safely(record)
         elif self._queue.qsize() < _BACKLOG:
             self._queue.put(record)
         else:
             self._given_up += 1
+        if self.failed:
+            raise DiskError(self.problem)
 
     def close(self) -> None:
         """Write what is left and close the files."""
@@ -154,10 +117,11 @@ class Recorder(Observer):
 
     def _write_queued(self) -> None:
         while (record := self._queue.get()) is not None:
-            if not self.problem:
-                self._write_safely(record)
+            self._write_safely(record)
 
     def _write_safely(self, record: TickRecord) -> None:
+        if self.failed:
+            return
         try:
             self._write(record)
             now = time.monotonic()
@@ -169,6 +133,7 @@ class Recorder(Observer):
             self._fail(error)
 
     def _fail(self, error: OSError) -> None:
+        self.failed = True
         self.problem = f"recording ended early: {error.strerror or error}"
 
     def _write(self, record: TickRecord) -> None:

@@ -8,15 +8,16 @@ A name comes from the tables below or from an entry point of an installed packag
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 import typing
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from visctrl.contracts import Controller, Estimate, Estimator, ObstacleProvider, Perception
@@ -221,11 +222,21 @@ REGISTRIES = Registries()
 
 
 def _import_module(name: str) -> object:
-    """Import a module, also from the current folder, where an installed command does not look."""
-    here = str(Path.cwd())
+    """Import a module, also from the current folder, where an installed command does not look.
+
+    The current folder stays what it was: relative paths of a scenario count from there.
+    """
+    try:
+        here = os.getcwd()
+    except FileNotFoundError:  # it is gone: what is installed can still be used
+        return importlib.import_module(name)
     if here not in sys.path:
         sys.path.append(here)
-    return importlib.import_module(name)
+    try:
+        return importlib.import_module(name)
+    finally:
+        with contextlib.suppress(OSError):
+            os.chdir(here)
 
 
 def _module_exists(target: str) -> bool:

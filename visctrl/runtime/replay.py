@@ -14,16 +14,18 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame, Odometry
 from visctrl.robots import Robot, load_robot
 from visctrl.robots.errors import InputError, VisctrlError
+from visctrl.robots.files import owner_only, writing
 from visctrl.robots.model import Mount
 from visctrl.runtime.config import LoadedScenario, Override, Scenario, load_scenario, to_yaml
 from visctrl.runtime.images import INITIAL
 from visctrl.runtime.loop import PluginError
 from visctrl.runtime.meter import Meter
 from visctrl.runtime.plan import Chosen, choose, chosen_camera
-from visctrl.runtime.recorder import CONFIG, Recorder, RunDirectory
+from visctrl.runtime.recorder import CONFIG, Recorder
 from visctrl.runtime.recording import Driven, Recording, Shot, read_image
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import REGISTRIES, Registries
+from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.scheduler import Tick
 from visctrl.runtime.schemes import APPROACH_ESTIMATOR, scheme_named
@@ -126,7 +128,7 @@ def plan_replay(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> 
 def replay(
     recording: Recording,
     plan: ReplayPlan,
-    out: Path | None,
+    out: Path | RunDirectory | None,
     *,
     video: bool = False,
     observers: Sequence[Observer] = (),
@@ -142,9 +144,13 @@ def replay(
         An image cannot be used (the message names it). Nothing is left behind.
     PluginError
         A plugin raised an exception.
+    DiskError
+        The files cannot be written.
     """
-    with one_thread_of_algebra():
-        return _Replay(recording, plan, out, video, observers).run()
+    directory = RunDirectory(out) if isinstance(out, Path) else out
+    shared = directory is not None and directory.shared
+    with one_thread_of_algebra(), owner_only(unless=shared):
+        return _Replay(recording, plan, directory, video, observers).run()
 
 
 class _Replay:
@@ -152,12 +158,12 @@ class _Replay:
         self,
         recording: Recording,
         plan: ReplayPlan,
-        out: Path | None,
+        directory: RunDirectory | None,
         video: bool,
         observers: Sequence[Observer],
     ) -> None:
         self._recording, self._plan, self._video = recording, plan, video
-        self._directory = RunDirectory(out) if out is not None else None
+        self._directory = directory
         self._meter = Meter()
         self._observers: list[Observer] = [self._meter, *observers]
         self._plugins: list[Plugin[Any]] = []
@@ -167,22 +173,31 @@ class _Replay:
         self._last: Driven | None = None
 
     def run(self) -> dict[str, Any]:
+        directory = self._directory
+        if directory is None:
+            return self._replayed()
         try:
-            self._play()
+            with writing(directory.path):
+                summary = self._replayed()
+                directory.release_reserve()
+                directory.write_summary(summary)
+                if self._pictures is not None:
+                    self._pictures.finish()
+                    self._pictures.report()
         except InputError:
-            self._close()
-            if self._directory is not None:
-                self._directory.discard()
+            directory.discard()
             raise
         finally:
-            self._close()
-        summary = self._summary()
-        if self._directory is not None:
-            self._directory.write_summary(summary)
-            if self._pictures is not None:
-                self._pictures.finish()
-                self._pictures.report()
+            directory.close()
         return summary
+
+    def _replayed(self) -> dict[str, Any]:
+        """Replay everything; return the summary."""
+        try:
+            self._play()
+        finally:
+            self._close()
+        return self._summary()
 
     def _play(self) -> None:
         plan = self._plan

@@ -15,7 +15,8 @@ from visctrl.hal.actuation import Limiter
 from visctrl.hal.errors import DeviceError
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Pose
-from visctrl.robots.errors import InputError, VisctrlError
+from visctrl.robots.errors import DiskError, InputError, VisctrlError
+from visctrl.robots.files import owner_only, writing
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
@@ -24,8 +25,9 @@ from visctrl.runtime.interrupts import Interrupted, Interrupts
 from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
 from visctrl.runtime.meter import Meter
 from visctrl.runtime.plan import Chosen, Plan, StagePlan
-from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, Reporting, RunDirectory
+from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, Reporting
 from visctrl.runtime.records import Observer
+from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.safety import Guard, LostError
 from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
@@ -36,6 +38,8 @@ from visctrl.viewers.run_pictures import Pictures
 T = TypeVar("T")
 
 _KEYBOARD_INTERRUPT = 130
+#: Exit codes up to here are verdicts: reached, missed or lost.
+_VERDICT = 1
 #: Slower than this, the robot stands (m/s, rad/s).
 STANDING = (1e-3, 2e-3)
 
@@ -57,7 +61,7 @@ class Outcome:
 
 def run_session(
     plan: Plan,
-    out: Path | None = None,
+    out: Path | RunDirectory | None = None,
     *,
     video: bool = False,
     mcap: bool = False,
@@ -70,8 +74,9 @@ def run_session(
     ----------
     plan : Plan
         What to run.
-    out : Path or None
-        Run directory; None writes nothing.
+    out : Path, RunDirectory or None
+        Where its files go: a directory that is not there yet or is empty, or one that is already
+        claimed; None writes nothing.
     video : bool
         Also write an MP4 of the camera's images and the robot from above.
     mcap : bool
@@ -87,22 +92,24 @@ def run_session(
         Something cannot be used, found before the robot was told anything. Nothing is left
         behind. Every other failure is an `Outcome`.
     """
-    with one_thread_of_algebra():
-        return _Session(plan, out, (video, mcap), observers, stop or StopRequest()).run()
+    directory = RunDirectory(out) if isinstance(out, Path) else out
+    shared = directory is not None and directory.shared
+    with one_thread_of_algebra(), owner_only(unless=shared):
+        return _Session(plan, directory, (video, mcap), observers, stop or StopRequest()).run()
 
 
 class _Session:
     def __init__(
         self,
         plan: Plan,
-        out: Path | None,
+        directory: RunDirectory | None,
         extras: tuple[bool, bool],
         observers: Sequence[Observer],
         stop: StopRequest,
     ) -> None:
         self._plan = plan
         self._stop_request = stop
-        self._directory = RunDirectory(out) if out is not None else None
+        self._directory = directory
         self._meter = Meter()
         self._video, self._mcap = extras
         self._observers: list[Observer] = [self._meter, *observers]
@@ -119,6 +126,7 @@ class _Session:
         self._tally = Tally()
         self._plugins: list[Plugin[Any]] = []
         self._notes: list[str] = []
+        self._unsaved = False
         self._truth: Pose | None = None
         self._began: tuple[float, float] | None = None
         self._took = (0.0, 0.0)
@@ -250,8 +258,9 @@ class _Session:
             named.append((CONSISTENCY, Consistency()))
         if self._images is not None:
             self._images.may_wait = lockstep
-        self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
-        self._recorder = Recorder(self._directory.path, named, lockstep=lockstep)
+        with writing(self._directory.path):
+            self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
+            self._recorder = Recorder(self._directory.path, named, lockstep=lockstep)
         self._observers.append(self._recorder)
 
     def _take_target(self, backend: Backend, perception: Perception[Any]) -> None:
@@ -313,27 +322,31 @@ class _Session:
         try:
             work()
         except Exception as error:
+            self._unsaved = self._unsaved or isinstance(error, OSError | DiskError)
             self._notes.append(f"{failure}: {error}")
 
     # --- with the backend closed -------------------------------------------------------------
 
     def _finish(self, end: End) -> Outcome:
         summary = summarise(self._plan, end, self._meter, self._tally, self._truth, self._took)
-        if self._recorder is not None:
-            self._attempt("recording", self._recorder.close)
-            if self._recorder.problem:
-                self._notes.append(self._recorder.problem)
-        if self._images is not None:
-            self._attempt("recording images", self._images.close)
-            if self._images.problem:
-                self._notes.append(self._images.problem)
+        for kept in (self._recorder, self._images):
+            if kept is not None:
+                self._attempt("recording", kept.close)
+                self._unsaved = self._unsaved or kept.failed
+                if kept.problem and kept.problem != end.reason:
+                    self._notes.append(kept.problem)
         if self._directory is not None:
+            self._directory.release_reserve()
             self._write(self._directory, end, summary)
+            self._attempt("an earlier run could not be removed", self._directory.close)
         if self._tally.missed:
             blame = ", ".join(f"{name} {n}" for name, n in self._tally.blame.most_common())
             self._notes.append(f"{self._tally.missed} ticks missed, by cause: {blame}")
         directory = self._directory.path if self._directory is not None else None
-        return Outcome(summary, end.exit_code, directory, tuple(self._notes))
+        # A verdict whose record is lost is none.
+        lost = self._unsaved and end.exit_code <= _VERDICT
+        code = DiskError.exit_code if lost else end.exit_code
+        return Outcome(summary, code, directory, tuple(self._notes))
 
     def _write(self, directory: RunDirectory, end: End, summary: dict[str, Any]) -> None:
         files = "a file could not be written"

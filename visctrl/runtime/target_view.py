@@ -16,6 +16,7 @@ from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame, Pose
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import replacing, writing
 
 #: Raised when what a file holds changes.
 _FORMAT = 1
@@ -53,8 +54,8 @@ class TargetView:
 
         Raises
         ------
-        InputError
-            The file cannot be written.
+        InputError, DiskError
+            The file cannot be written; one that was there is as it was.
         """
         facts = {
             "odometry": None if self.odometry is None else list(self.odometry),
@@ -62,17 +63,14 @@ class TargetView:
             "robot": self.robot,
             "taken": self.taken,
         }
-        try:
-            with path.open("wb") as file:
-                np.savez_compressed(
-                    file,
-                    format=_FORMAT,
-                    images=self.images,
-                    camera=self.camera.model_dump_json(),
-                    facts=json.dumps(facts),
-                )
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        with writing(path), replacing(path) as fresh, fresh.open("wb") as file:
+            np.savez_compressed(
+                file,
+                format=_FORMAT,
+                images=self.images,
+                camera=self.camera.model_dump_json(),
+                facts=json.dumps(facts),
+            )
 
     def check_camera(self, camera: CentralCamera, origin: str) -> None:
         """Refuse a view that another camera took.

@@ -14,7 +14,7 @@ from visctrl.study.workers import Died, LocalWorkers, default_workers
 
 if TYPE_CHECKING:
     from visctrl.runtime.plan import Plan
-
+    from visctrl.runtime.run_directory import RunDirectory
 __all__ = ["Job", "default_workers", "run_job", "run_jobs"]
 
 
@@ -55,6 +55,19 @@ def plan_of(job: Job) -> Plan:
     return make_plan(load_scenario(job.scenario, overrides, REGISTRIES.backends.known()))
 
 
+def directory_of(job: Job) -> RunDirectory | None:
+    """Return where the run's files go: those of the same job, run earlier, are replaced.
+
+    Raises
+    ------
+    InputError, DiskError
+        The directory holds something else, or cannot be written to.
+    """
+    from visctrl.runtime.run_directory import RunDirectory
+
+    return None if job.out is None else RunDirectory(job.out, overwrite=True)
+
+
 def run_job(job: Job) -> dict[str, Any]:
     """Run one job and return its summary (see `visctrl.runtime.summary.summarise`).
 
@@ -65,13 +78,13 @@ def run_job(job: Job) -> dict[str, Any]:
     """
     from visctrl.runtime.session import run_session
 
-    plan = plan_of(job)
+    plan, directory = plan_of(job), directory_of(job)
     if not job.image_motion or job.out is None:
-        return run_session(plan, job.out).summary
+        return run_session(plan, directory).summary
     from visctrl.reproduce.image_motion import ImageMotion
 
     motion = ImageMotion()
-    summary = run_session(plan, job.out, observers=[motion]).summary
+    summary = run_session(plan, directory, observers=[motion]).summary
     motion.save(job.out)
     return summary
 

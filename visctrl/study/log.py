@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterable
 from io import BufferedRandom
 from pathlib import Path
@@ -11,8 +10,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import absolute, lock, unwritable
 from visctrl.runtime.summary import versions
-from visctrl.study.table import Row
+from visctrl.study.summary import SUMMARY
+from visctrl.study.table import PARQUET, TABLE, Row, is_row
 from visctrl.study.trials import Trial
 
 LOG = "runs.jsonl"
@@ -36,8 +37,9 @@ class StudyLog:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.path = folder / LOG
+        self.folder = absolute(folder)
+        self.path = self.folder / LOG
+        self._named = folder
         #: What is finished, by the run's key.
         self.rows: dict[str, Row] = {}
         self._file: BufferedRandom | None = None
@@ -45,11 +47,12 @@ class StudyLog:
     def __enter__(self) -> Self:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            self._refuse_strangers()
             self._file = self.path.open("a+b")
         except OSError as error:
-            raise self._refusal(f"cannot be used: {error.strerror}") from None
+            raise unwritable(f"--out {self._named}", error) from None
         try:
-            if not _lock(self._file):
+            if not lock(self._file):
                 raise self._refusal("another study is running in it")
             self._read(self._file)
         except BaseException:
@@ -85,24 +88,37 @@ class StudyLog:
         self.rows[trial.key] = row
         self._append({"key": trial.key, "row": row})
 
+    def _refuse_strangers(self) -> None:
+        """Refuse a folder whose files would be taken for a study's and replaced."""
+        if self.path.exists():
+            if not self.path.is_file():
+                raise self._refusal(f"{self.path} is not a file")
+            return
+        for name in (TABLE, PARQUET, SUMMARY):
+            if (self.folder / name).exists():
+                raise self._refusal(f"holds a {name} that is not a study's: choose another folder")
+
     def _append(self, entry: dict[str, Any]) -> None:
         assert self._file is not None, "the log is used as a context manager"
-        self._file.write(json.dumps(entry).encode() + b"\n")
-        self._file.flush()
+        try:
+            self._file.write(json.dumps(entry).encode() + b"\n")
+            self._file.flush()
+        except OSError as error:
+            raise unwritable(self.path, error) from None
 
     def _read(self, file: BufferedRandom) -> None:
         """Take over the finished runs; a last line that was cut short is dropped."""
         file.seek(0)
         content = file.read()
         whole = content.rfind(b"\n") + 1
-        file.truncate(whole)
         lines = [_entry(line) for line in content[:whole].splitlines()]
-        if not lines:
+        if not content:
             self._append({"versions": versions()})
             return
-        made_by = (lines[0] or {}).get("versions")
-        if made_by is None:
+        made_by = lines[0].get("versions") if lines and lines[0] else None
+        if not isinstance(made_by, dict):
             raise self._refusal(f"{self.path} is not the log of a study")
+        file.truncate(whole)
         if made_by != versions():
             changed = ", ".join(
                 f"{name} {made_by.get(name)} (here {version})"
@@ -112,28 +128,20 @@ class StudyLog:
             raise self._refusal(
                 f"its runs were made by {changed}; choose another folder, or delete {self.path}"
             )
-        self.rows = {line["key"]: line["row"] for line in lines if line and "row" in line}
+        self.rows = {line["key"]: line["row"] for line in lines if line and _is_row(line)}
 
     def _refusal(self, reason: str) -> InputError:
-        return InputError(f"--out {self.folder}: {reason}")
+        return InputError(f"--out {self._named}: {reason}")
+
+
+def _is_row(entry: dict[str, Any]) -> bool:
+    """Return whether a line of the log holds a finished run: any other one is run again."""
+    return isinstance(entry.get("key"), str) and is_row(entry.get("row"))
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:
     try:
         entry = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return entry if isinstance(entry, dict) else None
-
-
-def _lock(file: BufferedRandom) -> bool:
-    """Lock an open file until it is closed or this process ends; return False if it is taken."""
-    if sys.platform == "win32":
-        return True
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True

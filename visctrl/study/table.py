@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from visctrl.robots.files import replacing
 
 Row = dict[str, Any]
 
@@ -45,6 +45,22 @@ def ended(status: str, reason: str) -> Row:
     return {"status": status, "reason": reason, **dict.fromkeys(_NUMBERS)}
 
 
+def is_row(found: object) -> bool:
+    """Return whether a value, as JSON gives it, is what `row_of` returns."""
+    if not isinstance(found, dict) or found.keys() != {"status", "reason", *_NUMBERS}:
+        return False
+    words, numbers = (found["status"], found["reason"]), (found[name] for name in _NUMBERS)
+    return all(isinstance(word, str) for word in words) and all(map(_is_number_or_none, numbers))
+
+
+def _is_number_or_none(value: object) -> bool:
+    if value is None:
+        return True
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < math.inf
+
+
 def write_table(rows: Sequence[Row], folder: Path) -> list[Path]:
     """Write ``table.csv``, and ``table.parquet`` where pandas and pyarrow are installed.
 
@@ -59,7 +75,7 @@ def write_table(rows: Sequence[Row], folder: Path) -> list[Path]:
     kept = [key for key in (rows[0] if rows else ()) if key in known or key not in _IF_KNOWN]
     cells = [{key: _cell(row[key]) for key in kept} for row in rows]
     path = folder / TABLE
-    with _replacing(path) as fresh, fresh.open("w", encoding="utf-8", newline="") as file:
+    with replacing(path) as fresh, fresh.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, kept, lineterminator="\n")
         writer.writeheader()
         writer.writerows(cells)
@@ -69,26 +85,10 @@ def write_table(rows: Sequence[Row], folder: Path) -> list[Path]:
     except ImportError:
         return [path]
     parquet = folder / PARQUET
-    with _replacing(parquet) as fresh:
+    with replacing(parquet) as fresh:
         columns = {key: _of_one_type([row[key] for row in cells]) for key in kept}
         pandas.DataFrame(columns).to_parquet(fresh, index=False)
     return [path, parquet]
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file at once or not at all."""
-    with _replacing(path) as fresh:
-        fresh.write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    fresh = path.with_name(path.name + ".new")
-    try:
-        yield fresh
-        os.replace(fresh, path)
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def _of_one_type(column: list[Any]) -> list[Any]:

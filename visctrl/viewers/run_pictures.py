@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from visctrl.contracts import Match
 from visctrl.hal.types import Frame
-from visctrl.runtime.recorder import FINAL, INITIAL, MCAP, TARGET, VIDEO, RunDirectory
+from visctrl.runtime.recorder import FINAL, INITIAL, MCAP, TARGET, VIDEO
 from visctrl.runtime.records import Observer, Setup, TickRecord
+from visctrl.runtime.run_directory import RunDirectory
 from visctrl.viewers.track_history import TrackHistory
 
 if TYPE_CHECKING:

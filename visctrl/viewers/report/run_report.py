@@ -18,6 +18,7 @@ from visctrl.hal.types import Pose
 from visctrl.robots import load_robot
 from visctrl.robots.documents import read_yaml
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import write_text, writing
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.recorder import (
     CONFIG,
@@ -146,13 +147,11 @@ def save(target: Path, text: str) -> None:
 
     Raises
     ------
-    InputError
+    InputError, DiskError
         It cannot be written.
     """
-    try:
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror}") from None
+    with writing(target):
+        write_text(target, text)
 
 
 def final_error(summary: Mapping[str, Any]) -> str:

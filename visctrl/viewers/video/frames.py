@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from visctrl.contracts import Array
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame
+from visctrl.robots.files import write_bytes
 
 Image = NDArray[np.uint8]
 
@@ -84,7 +85,7 @@ def save_picture(path: Path, picture: Image) -> None:
     ok, data = cv2.imencode(".png", picture)
     if not ok:
         raise OSError(f"{path}: cannot be encoded as PNG")
-    path.write_bytes(data.tobytes())
+    write_bytes(path, data.tobytes())
 
 
 def _write(picture: Image, text: str, scale: float) -> None:

@@ -1,0 +1,116 @@
+"""Files that are whole or not there, locked while they are used, and their owner's alone."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from visctrl.robots.errors import DiskError, InputError, VisctrlError
+
+#: What a disk does, as opposed to a name that cannot be used.
+_OF_THE_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+#: Part of a long name that the file written beside it takes over.
+_NAME = 100
+#: Permissions that nobody but the owner gets.
+_OTHERS = 0o077
+
+
+def absolute(path: Path) -> Path:
+    """Return a path that means the same after a change of the current directory.
+
+    Raises
+    ------
+    InputError
+        It is relative to a directory that is gone.
+    """
+    try:
+        return Path(os.path.abspath(path))
+    except FileNotFoundError:
+        raise InputError(f"{path}: the current directory is gone: change to another one") from None
+
+
+def unwritable(what: object, error: OSError | ValueError) -> VisctrlError:
+    """Return what to tell of a file that cannot be written: the disk's fault, or the name's."""
+    reason = getattr(error, "strerror", None) or str(error)
+    if getattr(error, "errno", None) in _OF_THE_DISK:
+        return DiskError(f"{what}: cannot be written: {reason}")
+    return InputError(f"{what}: cannot be written: {reason}")
+
+
+@contextmanager
+def writing(what: object) -> Iterator[None]:
+    """Tell failures to write in one line that names ``what``.
+
+    Raises
+    ------
+    InputError, DiskError
+        See `unwritable`.
+    """
+    try:
+        yield
+    except VisctrlError:
+        raise
+    except (OSError, ValueError) as error:
+        raise unwritable(what, error) from None
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a name to write to, which takes the place of ``path`` once all is written.
+
+    Whatever happens, there is the old file or the new one, whole.
+
+    Raises
+    ------
+    OSError
+        The new file cannot take its place.
+    """
+    fresh = path.with_name(f".{path.name[:_NAME]}.{os.getpid()}.new")
+    try:
+        yield fresh
+        os.replace(fresh, path)
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file at once or not at all (see `replacing`)."""
+    write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file at once or not at all (see `replacing`)."""
+    with replacing(path) as fresh:
+        fresh.write_bytes(data)
+
+
+@contextmanager
+def owner_only(*, unless: bool = False) -> Iterator[None]:
+    """Let what is created meanwhile, by any thread, be its owner's alone: 0600 and 0700."""
+    if unless:
+        yield
+        return
+    before = os.umask(_OTHERS)
+    os.umask(before | _OTHERS)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+def lock(file: IO[Any]) -> bool:
+    """Lock an open file until it is closed or this process ends; return False if it is taken."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
