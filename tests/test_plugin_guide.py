@@ -17,7 +17,7 @@ GUIDE = Path(__file__).parent.parent / "docs" / "plugins.md"
 @pytest.fixture
 def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     blocks = re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
-    for name, code in zip(("polar.py", "line.py"), blocks, strict=True):
+    for name, code in zip(("polar.py", "line.py", "rover.py"), blocks, strict=True):
         (tmp_path / name).write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     return "controller.name=polar:Polar"

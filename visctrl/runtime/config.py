@@ -313,7 +313,13 @@ def scenario_source(name: str) -> Path | Traversable:
 
 
 def _checked(data: dict[str, Any], origin: str, backends: frozenset[str]) -> Scenario:
-    """Validate with the backends' sections gathered under one key."""
+    """Validate with the backends' sections gathered under one key.
+
+    A backend that is named by ``module:Class`` has its section under just that name.
+    """
+    chosen = data.get("backend")
+    if isinstance(chosen, str) and ":" in chosen:
+        backends = backends | {chosen}
     inner = {key: value for key, value in data.items() if key not in backends}
     sections = {key: data[key] for key in data if key in backends}
     for key, value in sections.items():
