@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from visctrl.hal.types import STANDSTILL, Velocity
@@ -26,6 +28,39 @@ _SAME_INSTANT_S = 1e-9
 Fraction = Annotated[float, Field(gt=-1.0, lt=1.0)]
 
 
+class WheelErrors(StrictModel):
+    """True over nominal values of a base's wheels; its odometry does not notice them.
+
+    left, right : of the wheels' radii. track : of the distance between them.
+    """
+
+    left: Annotated[float, Field(gt=0.5, lt=2.0)] = 1.0
+    right: Annotated[float, Field(gt=0.5, lt=2.0)] = 1.0
+    track: Annotated[float, Field(gt=0.5, lt=2.0)] = 1.0
+
+
+class Scatter(StrictModel):
+    """How the mean velocity executed in a tick scatters about what was commanded.
+
+    v_m_s, omega_deg_s : standard deviations, drawn anew in every tick of a moving robot.
+    """
+
+    v_m_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    omega_deg_s: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
+
+    def drawer(self, rng: np.random.Generator) -> Callable[[], Velocity]:
+        """Return what draws by how much a tick's velocity differs from the commanded one."""
+        if self == Scatter():
+            return lambda: STANDSTILL
+        v_sd, omega_sd = self.v_m_s, math.radians(self.omega_deg_s)
+
+        def draw() -> Velocity:
+            v, omega = rng.normal(size=2).tolist()
+            return Velocity(v * v_sd, omega * omega_sd)
+
+        return draw
+
+
 class ActuationOptions(StrictModel):
     """How far a base is from executing its commands at once and exactly.
 
@@ -33,20 +68,47 @@ class ActuationOptions(StrictModel):
     delay_s : time from a command to its effect.
     slip_v, slip_omega : fractions of the set-point that the robot fails to execute; its
         odometry does not notice. The robot model applies them, not `Actuation`.
+    wheels : what is wrong with the wheels; applied like slip.
     """
 
     quantise: bool = True
     delay_s: Annotated[float, Field(ge=0.0)] = 0.0
     slip_v: Fraction = 0.0
     slip_omega: Fraction = 0.0
+    wheels: WheelErrors = WheelErrors()
 
-    def executed(self, set_point: Velocity) -> Velocity:
-        """Return what is left of a set-point after slip."""
+    def executed(self, set_point: Velocity, track_m: float) -> Velocity:
+        """Return what wheels and slip make of a set-point; ``track_m`` (m) is the nominal track."""
+        if self.wheels != WheelErrors():
+            mean, half = self._mean_and_half
+            set_point = Velocity(
+                mean * set_point.v + half * track_m / 2.0 * set_point.omega,
+                (mean * set_point.omega + 2.0 * half / track_m * set_point.v) / self.wheels.track,
+            )
         if self.slip_v == 0.0 and self.slip_omega == 0.0:
             return set_point
         return Velocity(
             (1.0 - self.slip_v) * set_point.v, (1.0 - self.slip_omega) * set_point.omega
         )
+
+    def noticed(self, executed: Velocity, track_m: float) -> Velocity:
+        """Return what odometry makes of a velocity: the inverse of `executed`."""
+        v, omega = executed.v / (1.0 - self.slip_v), executed.omega / (1.0 - self.slip_omega)
+        if self.wheels == WheelErrors():
+            return Velocity(v, omega)
+        mean, half = self._mean_and_half
+        omega *= self.wheels.track
+        square = mean**2 - half**2
+        return Velocity(
+            (mean * v - half * track_m / 2.0 * omega) / square,
+            (mean * omega - 2.0 * half / track_m * v) / square,
+        )
+
+    @property
+    def _mean_and_half(self) -> tuple[float, float]:
+        """Mean, and half of the difference, of the wheels' radii over the nominal one."""
+        left, right = self.wheels.left, self.wheels.right
+        return (right + left) / 2.0, (right - left) / 2.0
 
 
 class Limiter:
@@ -167,6 +229,11 @@ class Actuation:
     def whole_units(self) -> bool:
         """Whether commands are rounded to whole mm/s and deg/s."""
         return self._options.quantise
+
+    @property
+    def moving(self) -> bool:
+        """Whether the set-point is not zero."""
+        return self._set_point != STANDSTILL
 
     @property
     def steady(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -17,6 +18,10 @@ from visctrl.robots import Robot
 from visctrl.sim.options import SimOptions
 from visctrl.sim.render.imaging import Sensor
 from visctrl.sim.render.renderer_choice import open_renderer
+from visctrl.sim.render.shake import Shake
+from visctrl.sim.world.changes import Changes
+from visctrl.sim.world.eye import Eye
+from visctrl.sim.world.people import Walker, people
 from visctrl.sim.world.physics import Physics
 from visctrl.sim.world.scene import Item, Scene, load_scene
 from visctrl.sim.world.world import World
@@ -103,10 +108,14 @@ class SimBackend(Backend):
         InputError
             The scene or renderer cannot be used, or the start or the target is not free.
         """
-        setup, scene = self.setup, self._scene()
+        setup, options = self.setup, self.setup.options
+        scene = self._scene()
+        walkers = people(scene, options.people, setup.seed)
+        scene = options.changes.now(scene)
+        scene = scene.model_copy(update={"items": (*scene.items, *(w.item for w in walkers))})
         scene.check_clear(setup.start, setup.mount.forward_m, self.robot, "start")
         scene.check_clear(_TARGET, setup.mount.forward_m, self.robot, "target")
-        self._world = self._build(scene)
+        self._world = self._build(scene, walkers)
         self._world.put(setup.start)
         clock = WorldClock(self._world.advance, WallClock() if setup.realtime else None)
         rng = np.random.default_rng([setup.seed, 2])
@@ -122,12 +131,18 @@ class SimBackend(Backend):
             self._world = None
 
     def teach(self, count: int = 1) -> list[Frame]:
-        """See `Backend.teach`. The frames differ in their noise."""
-        world = self._opened()
-        world.put(_TARGET)
-        frames = [world.photograph(self.clock.now()) for _ in range(count)]
-        world.put(self.setup.start)
-        return frames
+        """See `Backend.teach`. The frames differ in their noise; they show the scene unchanged."""
+        world, options = self._opened(), self.setup.options
+        if options.changes == Changes() and not options.people:
+            world.put(_TARGET)
+            frames = [world.photograph(self.clock.now()) for _ in range(count)]
+            world.put(self.setup.start)
+            return frames
+        eye = self._eye(self._scene(), Changes(), ())
+        try:
+            return [eye.photograph(self.clock.now(), _TARGET, moving=False) for _ in range(count)]
+        finally:
+            eye.close()
 
     def move(self, item: str, at: Pose) -> None:
         """Move an item of the scene to another place (x, y, φ = its yaw), like an obstacle.
@@ -163,18 +178,31 @@ class SimBackend(Backend):
         ]
         return scene.model_copy(update={"items": (*scene.items, *boxes)})
 
-    def _build(self, scene: Scene) -> World:
-        setup, options, model = self.setup, self.setup.options, self.setup.true_camera
-        if (model.width, model.height) != (setup.camera.width, setup.camera.height):
+    def _build(self, scene: Scene, walkers: Sequence[Walker]) -> World:
+        setup, options = self.setup, self.setup.options
+        model, believed = setup.true_camera, setup.camera
+        if (model.width, model.height) != (believed.width, believed.height):
             raise CameraError("the true camera's images have another size than the calibration's")
         physics = Physics(scene, self.robot, options.gui)
         try:
-            renderer = open_renderer(
-                options.renderer, scene, model, options.detail, options.show_floor
-            )
+            eye = self._eye(scene, options.changes, walkers)
         except BaseException:
             physics.close()
             raise
+        return World(
+            physics,
+            eye,
+            Actuation(setup.limits, options.actuation),
+            options.actuation,
+            (setup.mount.forward_m + options.mount_error.forward_m, options.mount_error.left_m),
+            options.scatter.drawer(np.random.default_rng([setup.seed, 4])),
+            walkers,
+        )
+
+    def _eye(self, scene: Scene, changes: Changes, walkers: Sequence[Walker]) -> Eye:
+        """Return the camera in a scene; of ``changes``, those of its exposure count."""
+        setup, options, model = self.setup, self.setup.options, self.setup.true_camera
+        renderer = open_renderer(options.renderer, scene, model, options.detail, options.show_floor)
         sensor = Sensor(
             model.width,
             model.height,
@@ -182,9 +210,19 @@ class SimBackend(Backend):
             options.blur_px,
             options.exposure,
             setup.seed,
+            veil=options.veil,
+            gain=changes.gain,
+            gamma=changes.gamma,
         )
-        actuation = Actuation(setup.limits, options.actuation)
-        return World(physics, renderer, sensor, actuation, options.actuation, setup.mount)
+        return Eye(
+            renderer,
+            sensor,
+            setup.mount.height_m + options.mount_error.height_m,
+            options.latency_s,
+            options.shutter_s,
+            Shake(model, options.shake_deg, setup.seed) if options.shake_deg else None,
+            walkers,
+        )
 
     def _opened(self) -> World:
         if self._world is None:

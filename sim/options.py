@@ -7,10 +7,11 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from visctrl.hal.actuation import ActuationOptions
+from visctrl.hal.actuation import ActuationOptions, Scatter
 from visctrl.hal.faults import Faults
 from visctrl.hal.interfaces import BackendOptions
 from visctrl.robots.documents import StrictModel
+from visctrl.sim.world.changes import Changes
 from visctrl.sim.world.scene_files import check_scene_name
 
 RendererName = Literal["auto", "tiny", "egl", "gl"]
@@ -28,6 +29,17 @@ class Box(StrictModel):
     yaw_deg: float = 0.0
 
 
+class MountError(StrictModel):
+    """By how much the camera's true place on the robot differs from the mount's (m).
+
+    How it is turned there is a matter of the camera: see ``camera_error``.
+    """
+
+    forward_m: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    left_m: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    height_m: Annotated[float, Field(ge=-0.3, le=0.5)] = 0.0
+
+
 class SimOptions(BackendOptions):
     """Options of the simulated backend.
 
@@ -40,6 +52,15 @@ class SimOptions(BackendOptions):
     image_noise : standard deviation of the pixel noise (grey levels).
     blur_px : Gaussian blur of the optics (px).
     exposure : amplitude of slow, smooth changes of the image's gain (0.2: between 0.8 and 1.2).
+    veil : stray light: this share of every pixel is the mean of its wide surroundings.
+    latency_s : from the exposure of a frame to its delivery; its stamp is that of the delivery.
+    shutter_s : exposure time; what moves meanwhile is blurred.
+    shake_deg : standard deviation of the camera's roll and of its pitch in each frame of a moving
+        robot.
+    mount_error : where the camera really sits.
+    scatter : of the executed motion; the wheels do not notice it.
+    people : how many walk to and fro along the floor that is free to drive on.
+    changes : what is other than when the target's image was taken.
     detail : rendered pixels per image pixel, along a line; more costs time quadratically. Whole
         numbers for ``gl``, which rounds it, to 1 at least.
     show_floor : draw the textures of floor and ceiling; without, each is one shade.
@@ -54,6 +75,14 @@ class SimOptions(BackendOptions):
     image_noise: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
     blur_px: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     exposure: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    veil: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    latency_s: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
+    shutter_s: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    shake_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0
+    mount_error: MountError = MountError()
+    scatter: Scatter = Scatter()
+    people: Annotated[int, Field(ge=0, le=8)] = 0
+    changes: Changes = Changes()
     detail: Annotated[float, Field(ge=0.25, le=4.0)] = 1.0
     show_floor: bool = True
     gui: bool = False

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from visctrl.hal.actuation import Actuation, ActuationOptions
+from visctrl.hal.actuation import Actuation, ActuationOptions, Scatter
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.clock import WallClock, WorldClock
 from visctrl.hal.errors import LinkError
@@ -23,7 +23,6 @@ from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup, Base, 
 from visctrl.hal.mock.scene import scatter, view_matrix
 from visctrl.hal.types import STANDSTILL, Features, Frame, Odometry, Pose, Velocity
 from visctrl.robots import Limits
-from visctrl.robots.documents import StrictModel
 from visctrl.robots.unicycle import along_arc, wrapped
 
 #: Longest step of the motion while delays and ramps shape it, and one that is none (s).
@@ -41,16 +40,6 @@ class Purpose(IntEnum):
     def generator(self, seed: int) -> np.random.Generator:
         """Return the generator of a run with this seed."""
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(self.value,)))
-
-
-class Scatter(StrictModel):
-    """How the mean velocity executed in a tick scatters about what was commanded.
-
-    v_m_s, omega_deg_s : standard deviations, drawn anew in every tick of a moving robot.
-    """
-
-    v_m_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    omega_deg_s: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
 
 
 class MockOptions(BackendOptions):
@@ -121,7 +110,8 @@ class MockBackend(Backend):
             setup.mount.forward_m,
             None if options.ideal else setup.limits,
             _EXACT if options.ideal else options.actuation,
-            _scattering(options.scatter, Purpose.SCATTER.generator(setup.seed)),
+            options.scatter.drawer(Purpose.SCATTER.generator(setup.seed)),
+            self.robot.wheels.effective_track_m,
         )
         clock = WorldClock(motion.advance, WallClock() if setup.realtime else None)
         drops = FaultyCapture(options.faults, Purpose.DROPS.generator(setup.seed))
@@ -260,11 +250,13 @@ class _Motion:
         limits: Limits | None,
         options: ActuationOptions,
         scatter: Callable[[], Velocity],
+        track_m: float,
     ) -> None:
         self.actuation = Actuation(limits, options)
         self.set_point = STANDSTILL
         self._options = options
         self._scatter = scatter
+        self._track_m = track_m
         self._offset = offset
         self._time = 0.0
         self._wheels = (0.0, 0.0, 0.0)
@@ -280,7 +272,7 @@ class _Motion:
         while (left := end - self._time) > _INSTANT_S:
             step = left if self._instant or self.actuation.steady else min(left, _STEP_S)
             self.set_point = self.actuation.velocity_at(self._time, step)
-            executed = self._options.executed(self.set_point)
+            executed = self._options.executed(self.set_point, self._track_m)
             if scatter != STANDSTILL and executed != STANDSTILL:
                 executed = Velocity(executed.v + scatter.v, executed.omega + scatter.omega)
             self._axle = along_arc(self._axle, executed, step)
@@ -300,16 +292,3 @@ class _Motion:
     def halt(self) -> None:
         self.actuation.halt()
         self.set_point = STANDSTILL
-
-
-def _scattering(scatter: Scatter, rng: np.random.Generator) -> Callable[[], Velocity]:
-    """Return what draws by how much a tick's velocity differs from the commanded one."""
-    if scatter == Scatter():
-        return lambda: STANDSTILL
-    v_sd, omega_sd = scatter.v_m_s, math.radians(scatter.omega_deg_s)
-
-    def draw() -> Velocity:
-        v, omega = rng.normal(size=2).tolist()
-        return Velocity(v * v_sd, omega * omega_sd)
-
-    return draw

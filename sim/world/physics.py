@@ -82,6 +82,11 @@ class Physics:
         """The robot."""
         return self._robot
 
+    @property
+    def track_m(self) -> float:
+        """Track with which the robot's software turns wheel speeds into turning rates (m)."""
+        return self._robot.wheels.effective_track_m
+
     def put(self, axle: Pose) -> None:
         """Put the robot down, at rest, with its axle's centre at ``axle``."""
         self._reset_to(axle)

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from visctrl.hal.types import Pose
 from visctrl.sim.render.reliefs import Kind
 from visctrl.sim.world.light import Light
 from visctrl.sim.world.scene import (
+    CLEAR_M,
     Arena,
     Finish,
     Ground,
     Item,
     Room,
     Scene,
+    keep_clear,
     overlap,
-    rectangle,
 )
 
 Generator = np.random.Generator
@@ -29,8 +29,6 @@ Generator = np.random.Generator
 _STREAM = 71
 _WALLS: tuple[Kind, ...] = ("blobs", "noise", "noise", "bricks", "boards", "plain")
 _THINGS: tuple[Kind, ...] = ("blobs", "blobs", "noise", "boards", "shelves", "bricks")
-#: Free on every side of the arena (m): the robot turns there.
-_CLEAR_M = 0.6
 _TRIES = 30
 
 
@@ -122,7 +120,7 @@ def _poster(rng: Generator, name: str, room: Room) -> Item:
 
 def _likes(rng: Generator, room: Room, arena: Arena) -> list[Item]:
     """Return three to six equal things in a row along the arena, where they are in the room."""
-    x = arena.x_m[1] + _CLEAR_M + 0.5
+    x = arena.x_m[1] + CLEAR_M + 0.5
     x = x if rng.random() < 0.5 else -x
     step, size = float(rng.uniform(0.8, 1.6)), float(rng.uniform(0.3, 0.5))
     high, pattern = float(rng.uniform(0.6, 2.0)), _one(rng, _THINGS)
@@ -142,13 +140,6 @@ def _likes(rng: Generator, room: Room, arena: Arena) -> list[Item]:
         if room.x_m[0] + size < item.at_m[0] < room.x_m[1] - size
         and room.y_m[0] + size < item.at_m[1] < room.y_m[1] - size
     ]
-
-
-def keep_clear(arena: Arena) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return the corners (4, 2) of the floor that must stay free for an arena (m)."""
-    (x0, x1), (y0, y1) = arena.x_m, arena.y_m
-    middle = Pose((x0 + x1) / 2, (y0 + y1) / 2, 0.0)
-    return rectangle(middle, x1 - x0 + 2 * _CLEAR_M, y1 - y0 + 2 * _CLEAR_M)
 
 
 def _one(rng: Generator, kinds: tuple[Kind, ...]) -> Kind:

@@ -26,6 +26,8 @@ from visctrl.sim.world.scene_files import RANDOM, check_scene_name, scene_folder
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
+#: Free on every side of an arena (m): the robot turns there.
+CLEAR_M = 0.6
 Shade = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -187,6 +189,13 @@ def robot_outline(camera: Pose, camera_forward_m: float, robot: Robot) -> Array:
     return rectangle(
         Pose(centre[0], centre[1], camera.phi), body.width_m, body.front_m + body.rear_m
     )
+
+
+def keep_clear(arena: Arena) -> Array:
+    """Return the corners (4, 2) of the floor that must stay free for an arena (m)."""
+    (x0, x1), (y0, y1) = arena.x_m, arena.y_m
+    middle = Pose((x0 + x1) / 2, (y0 + y1) / 2, 0.0)
+    return rectangle(middle, x1 - x0 + 2 * CLEAR_M, y1 - y0 + 2 * CLEAR_M)
 
 
 def rectangle(pose: Pose, width: float, length: float) -> Array:

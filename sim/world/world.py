@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from visctrl.hal.actuation import Actuation, ActuationOptions
 from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Range, Velocity
-from visctrl.robots.model import Mount
-from visctrl.robots.unicycle import step_exact
-from visctrl.sim.render.imaging import Sensor
-from visctrl.sim.render.renderer import Renderer
+from visctrl.sim.world.eye import Eye
+from visctrl.sim.world.people import Walker
 from visctrl.sim.world.physics import STEPS_PER_SECOND, Physics
 
 _STEP_S = 1.0 / STEPS_PER_SECOND
@@ -25,57 +24,77 @@ class World:
 
     Time counts from the opening of the backend. The wheels follow the actuation's set-point in
     every physics step, less the slip that odometry does not notice.
+
+    Parameters
+    ----------
+    physics, eye, actuation, options
+        What moves, sees and drives.
+    camera_at : (ahead, left)
+        Where the camera really is, from the axle's centre (m).
+    scatter : callable
+        Draws what is added to the executed velocity in a tick.
+    walkers : sequence of Walker
+        People, whom the robot may run into.
     """
 
     def __init__(
         self,
         physics: Physics,
-        renderer: Renderer,
-        sensor: Sensor,
+        eye: Eye,
         actuation: Actuation,
         options: ActuationOptions,
-        mount: Mount,
+        camera_at: tuple[float, float],
+        scatter: Callable[[], Velocity] = lambda: STANDSTILL,
+        walkers: Sequence[Walker] = (),
     ) -> None:
         self.physics = physics
         self.actuation = actuation
-        self._renderer = renderer
-        self._sensor = sensor
+        self._eye = eye
         self._options = options
-        self._mount = mount
+        self._ahead, self._left = camera_at
+        self._draw_scatter = scatter
+        self._scattered = STANDSTILL
+        self._walkers = walkers
         self._ring = physics.robot.sonar
         self.closed = False
         self._time = 0.0
         self._steps = 0
-        self._sequence = 0
         self._dead_reckoned = _ORIGIN
         self._measured = STANDSTILL
 
     def advance(self, seconds: float) -> None:
         """Let time pass: as many whole physics steps as it takes to get there."""
         self._time += seconds
+        drawn = self._draw_scatter()
+        for walker in self._walkers:
+            self.physics.move(walker.item.name, walker.pose(self._time))
         while self._steps + _STEP_TOLERANCE < self._time * STEPS_PER_SECOND:
             set_point = self.actuation.velocity_at(self._steps * _STEP_S, _STEP_S)
-            self.physics.drive(self._options.executed(set_point))
+            executed = self._options.executed(set_point, self.physics.track_m)
+            self._scattered = drawn if executed != STANDSTILL else STANDSTILL
+            self.physics.drive(_sum(executed, self._scattered))
             self.physics.step()
             self._reckon()
             self._steps += 1
+            if self._eye.remembers:
+                self._eye.note(self._steps * _STEP_S, self.camera_pose())
 
     def put(self, camera: Pose) -> None:
         """Put the robot down at rest with its camera at ``camera``; odometry starts anew."""
         self.actuation.halt()
-        self.physics.put(Pose(*step_exact(camera, -self._mount.forward_m, 0.0, 1.0)))
+        self.physics.put(displaced(camera, -self._ahead, -self._left))
+        self._eye.forget()
         self._dead_reckoned = _ORIGIN
         self._measured = STANDSTILL
 
     def move(self, item: str, at: Pose) -> None:
         """Move an item of the scene (x, y, φ = its yaw), for the robot and for its camera."""
         self.physics.move(item, at)
-        self._renderer.place(item, at)
+        self._eye.renderer.place(item, at)
 
     def camera_pose(self) -> Pose:
         """Return where the camera is, in the target's frame."""
-        ahead = step_exact(self.physics.axle(), self._mount.forward_m, 0.0, 1.0)
-        return Pose(*ahead.tolist())
+        return displaced(self.physics.axle(), self._ahead, self._left)
 
     def odometry(self, stamp: float) -> Odometry:
         """Return the axle's dead-reckoned pose since the robot was put down."""
@@ -104,23 +123,20 @@ class World:
 
     def photograph(self, stamp: float) -> Frame:
         """Return a new frame."""
-        ideal = self._renderer.render(self.camera_pose(), self._mount.height_m)
-        self._sequence += 1
-        return Frame(stamp, self._sequence, self._sensor.expose(ideal, stamp, self._sequence))
+        moving = self._measured != STANDSTILL and self.actuation.moving
+        return self._eye.photograph(stamp, self.camera_pose(), moving)
 
     def close(self) -> None:
         """Stop the robot and release both PyBullet clients."""
         self.closed = True
         self.actuation.halt()
-        self._renderer.close()
+        self._eye.close()
         self.physics.close()
 
     def _reckon(self) -> None:
         wheels = self.physics.wheel_velocity()
-        self._measured = Velocity(
-            wheels.v / (1.0 - self._options.slip_v),
-            wheels.omega / (1.0 - self._options.slip_omega),
-        )
+        unscattered = Velocity(wheels.v - self._scattered.v, wheels.omega - self._scattered.omega)
+        self._measured = self._options.noticed(unscattered, self.physics.track_m)
         pose = self._dead_reckoned
         middle = pose.phi + self._measured.omega * _STEP_S / 2
         self._dead_reckoned = Pose(
@@ -128,3 +144,13 @@ class World:
             pose.y + self._measured.v * _STEP_S * math.cos(middle),
             pose.phi + self._measured.omega * _STEP_S,
         )
+
+
+def displaced(pose: Pose, ahead: float, left: float) -> Pose:
+    """Return a pose moved ahead and to its left (m), in its own axes."""
+    s, c = math.sin(pose.phi), math.cos(pose.phi)
+    return Pose(pose.x - s * ahead - c * left, pose.y + c * ahead - s * left, pose.phi)
+
+
+def _sum(a: Velocity, b: Velocity) -> Velocity:
+    return a if b == STANDSTILL else Velocity(a.v + b.v, a.omega + b.omega)

@@ -102,7 +102,7 @@ def test_a_command_that_is_not_a_number_is_refused(bad: Velocity) -> None:
 
 def test_slip_leaves_its_share() -> None:
     options = ActuationOptions(slip_v=0.1, slip_omega=-0.2)
-    assert options.executed(Velocity(1.0, 1.0)) == pytest.approx((0.9, 1.2))
+    assert options.executed(Velocity(1.0, 1.0), 0.4) == pytest.approx((0.9, 1.2))
 
 
 def driven(limiter: Limiter, wanted: Velocity, ticks: int) -> list[Velocity]:

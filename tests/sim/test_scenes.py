@@ -16,8 +16,8 @@ from visctrl.sim.render import photographs
 from visctrl.sim.render.reliefs import PERIODS_M, Kind, relief
 from visctrl.sim.render.surfaces import surfaces
 from visctrl.sim.world.light import Light
-from visctrl.sim.world.random_scene import keep_clear, random_scene
-from visctrl.sim.world.scene import Scene, load_scene, overlap
+from visctrl.sim.world.random_scene import random_scene
+from visctrl.sim.world.scene import Scene, keep_clear, load_scene, overlap
 from visctrl.sim.world.scene_files import check_scene_name, scene_names
 
 ROOM = {"x_m": [-3, 3], "y_m": [-5, 4], "height_m": 2.5}

@@ -74,7 +74,8 @@ class CameraError(StrictModel):
 
     focal_scale : true focal length over the assumed one.
     cx_px, cy_px, xi : true minus assumed projection centre and mirror parameter.
-    tilt_deg : misalignment of the optical axis about the robot's right axis.
+    tilt_deg, roll_deg, yaw_deg : misalignment of the camera about the robot's right, forward and
+        upward axis.
     """
 
     focal_scale: Positive = 1.0
@@ -82,6 +83,8 @@ class CameraError(StrictModel):
     cy_px: float = 0.0
     xi: float = 0.0
     tilt_deg: Degrees = 0.0
+    roll_deg: Degrees = 0.0
+    yaw_deg: Degrees = 0.0
 
 
 class Start(StrictModel):

@@ -356,6 +356,8 @@ def _true(camera: CentralCamera, error: CameraError) -> CentralCamera:
         "cx": camera.cx + error.cx_px,
         "cy": camera.cy + error.cy_px,
         "pitch_deg": camera.pitch_deg + error.tilt_deg,
+        "roll_deg": camera.roll_deg + error.roll_deg,
+        "yaw_deg": camera.yaw_deg + error.yaw_deg,
     }
     if error.xi != 0.0:
         changes["xi"] = known.get("xi", 0.0) + error.xi
