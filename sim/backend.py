@@ -15,11 +15,11 @@ from visctrl.hal.faults import FaultyCapture, check_link
 from visctrl.hal.interfaces import Backend, BackendSetup, Base, Camera
 from visctrl.hal.types import Frame, Odometry, Pose, Range, Velocity
 from visctrl.robots import Robot
-from visctrl.sim.options import SimOptions
+from visctrl.sim.options import Changes, SimOptions
 from visctrl.sim.render.imaging import Sensor
 from visctrl.sim.render.renderer_choice import open_renderer
 from visctrl.sim.render.shake import Shake
-from visctrl.sim.world.changes import Changes
+from visctrl.sim.world.changes import changed
 from visctrl.sim.world.eye import Eye
 from visctrl.sim.world.people import Walker, people
 from visctrl.sim.world.physics import Physics
@@ -111,7 +111,7 @@ class SimBackend(Backend):
         setup, options = self.setup, self.setup.options
         scene = self._scene()
         walkers = people(scene, options.people, setup.seed)
-        scene = options.changes.now(scene)
+        scene = changed(scene, options.changes)
         scene = scene.model_copy(update={"items": (*scene.items, *(w.item for w in walkers))})
         scene.check_clear(setup.start, setup.mount.forward_m, self.robot, "start")
         scene.check_clear(_TARGET, setup.mount.forward_m, self.robot, "target")

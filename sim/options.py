@@ -11,10 +11,11 @@ from visctrl.hal.actuation import ActuationOptions, Scatter
 from visctrl.hal.faults import Faults
 from visctrl.hal.interfaces import BackendOptions
 from visctrl.robots.documents import StrictModel
-from visctrl.sim.world.changes import Changes
+from visctrl.sim.world.light import Light
 from visctrl.sim.world.scene_files import check_scene_name
 
 RendererName = Literal["auto", "tiny", "egl", "gl"]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 
@@ -27,6 +28,29 @@ class Box(StrictModel):
     depth_m: Annotated[float, Field(gt=0.0)] = 0.4
     height_m: Annotated[float, Field(gt=0.0)] = 0.5
     yaw_deg: float = 0.0
+
+
+class Changes(StrictModel):
+    """How a scene differs from what it was when the target's image was taken.
+
+    removed, replaced, moved : shares of the things, drawn in this order; no thing is drawn twice.
+        What is replaced looks other at the same place. What is moved stands on the floor and
+        ends ``moved_m`` away, never on the floor that is free to drive on.
+    scatter_m : standard deviation of a shift, in x and in y, of every other thing on the floor.
+    light : in place of the scene's.
+    gain, gamma : of the camera's exposure: a share s of full scale is now shown as (gain s)^gamma.
+    seed : of all that is drawn.
+    """
+
+    removed: Share = 0.0
+    replaced: Share = 0.0
+    moved: Share = 0.0
+    moved_m: Annotated[float, Field(gt=0.0, le=5.0)] = 0.5
+    scatter_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    light: Light | None = None
+    gain: Annotated[float, Field(gt=0.0, le=5.0)] = 1.0
+    gamma: Annotated[float, Field(gt=0.0, le=5.0)] = 1.0
+    seed: Annotated[int, Field(ge=0)] = 0
 
 
 class MountError(StrictModel):

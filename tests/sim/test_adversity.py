@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from visctrl.hal.actuation import ActuationOptions, Scatter, WheelErrors
-from visctrl.hal.cameras.central import load_camera
+from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Pose, Velocity
 from visctrl.robots import load_robot
 from visctrl.sim.backend import SimBackend
-from visctrl.sim.options import SimOptions
+from visctrl.sim.options import Changes, SimOptions
 from visctrl.sim.render.imaging import Sensor
 from visctrl.sim.render.shake import Shake
-from visctrl.sim.world.changes import Changes
+from visctrl.sim.world.changes import changed
 from visctrl.sim.world.eye import Eye
 from visctrl.sim.world.light import Light
 from visctrl.sim.world.people import people
@@ -65,7 +65,7 @@ def test_a_displaced_pose_comes_back(x: float, y: float, phi: float, left: float
 def test_changes_touch_as_many_things_as_they_say(seed: int) -> None:
     scene = load_scene("hall")
     changes = Changes(removed=0.2, replaced=0.3, moved=0.25, moved_m=0.4, seed=seed)
-    now, count = changes.now(scene), len(scene.items)
+    now, count = changed(scene, changes), len(scene.items)
     was = {item.name: item for item in scene.items}
     assert len(now.items) == count - round(0.2 * count)
     assert sum(i.look != was[i.name].look for i in now.items) == round(0.3 * count)
@@ -74,12 +74,12 @@ def test_changes_touch_as_many_things_as_they_say(seed: int) -> None:
     for item in moved:
         assert math.dist(item.at_m, was[item.name].at_m) == pytest.approx(0.4)
         assert not overlap(item.outline(), keep_clear(scene.arena))
-    assert changes.now(scene) == now
+    assert changed(scene, changes) == now
 
 
 def test_no_changes_leave_the_scene_itself() -> None:
     scene = load_scene("hall")
-    assert Changes().now(scene) is scene
+    assert changed(scene, Changes()) is scene
 
 
 def test_people_walk_beside_the_free_floor_at_their_pace() -> None:
@@ -226,4 +226,4 @@ def test_scatter_moves_the_robot_and_not_its_odometry(opened: Any) -> None:
 def test_a_scene_without_things_can_change() -> None:
     room = {"x_m": [-3, 3], "y_m": [-5, 4], "height_m": 2.5}
     empty = Scene.model_validate({"name": "s", "room": room})
-    assert Changes(moved=0.5, removed=0.5).now(empty).items == ()
+    assert changed(empty, Changes(moved=0.5, removed=0.5)).items == ()
