@@ -95,9 +95,12 @@ def test_the_same_plugins_give_the_same_numbers(recorded: Path, visctrl, tmp_pat
     )
     for old, new in zip(before, after, strict=True):
         assert {k: old[k] for k in compared} == {k: new[k] for k in compared}
+    assert any(float(row["v_wanted [m/s]"]) > 0.1 for row in after), "the controller decides"
+    assert "trifocal-smc.progress [s]" in compared
     assert any("old" in row["event"] for row in before), "the frozen camera was part of it"
     summary = json.loads(out)
     assert summary["status"] == "replayed"
+    assert summary["controller"] == "trifocal-smc"
     assert summary == json.loads((tmp_path / "again" / "summary.json").read_text())
     for name in ("target.png", "initial.png", "final.png", "config.yaml", "report.html"):
         assert (tmp_path / "again" / name).exists()
@@ -119,6 +122,20 @@ def test_other_plugins_and_options_see_the_same_images(
     config = (tmp_path / "other" / "config.yaml").read_text()
     assert "keypoints: 400" in config
     assert "backward_px" not in config, "the options of the plugin that was replaced are gone"
+
+
+def test_another_controller_decides_open_loop(recorded: Path, visctrl, tmp_path: Path) -> None:
+    name = "trifocal-smooth"
+    code, _, err = visctrl("replay", recorded, "--controller", name, "--out", "other", "-q")
+    assert code == 0, err
+    before, after = ticks(recorded), ticks(tmp_path / "other")
+    sent = ("v_sent [m/s]", "omega_sent [rad/s]")
+    assert [[row[k] for k in sent] for row in before] == [[row[k] for k in sent] for row in after]
+    assert any(row[f"{name}.distance [m]"] for row in after)
+    assert {row["phase"] for row in before} != {row["phase"] for row in after}
+    code, _, err = visctrl("replay", recorded, "--controller", "pose-tracking", "--out", "no")
+    assert code == 2
+    assert "needs PoseEstimate" in err
 
 
 def test_a_plain_folder_of_images_is_a_sequence(recorded: Path, visctrl, tmp_path: Path) -> None:

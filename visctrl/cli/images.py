@@ -41,6 +41,10 @@ def replay_command(
         str | None,
         typer.Option(metavar="NAME", help="As --set estimator.name=NAME.", show_default=False),
     ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="As --set controller.name=NAME.", show_default=False),
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
@@ -71,7 +75,7 @@ def replay_command(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
 ) -> None:
-    """Run perception and estimation again over recorded images, without a robot.
+    """Run the plugins again over recorded images, without a robot: what would be sent is recorded.
 
     Exit code: 0 done, 2 bad input, 3 plugin fault.
     """
@@ -87,6 +91,7 @@ def replay_command(
             ("scheme", (), scheme),
             ("perception", ("name",), perception),
             ("estimator", ("name",), estimator),
+            ("controller", ("name",), controller),
         )
         if value is not None
     ]

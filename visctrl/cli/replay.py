@@ -18,7 +18,8 @@ from visctrl.runtime.images import TICK
 from visctrl.runtime.recording import Recording, open_recording
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import REGISTRIES
-from visctrl.runtime.replay import load_for_replay, plan_replay, replay
+from visctrl.runtime.replay import replay
+from visctrl.runtime.replay_plan import load_for_replay, plan_replay
 
 
 def replay_images(
@@ -47,7 +48,10 @@ def replay_images(
     recording = open_recording(source, target, rate_hz)
     if recording.camera is None and not any(o.path == ("camera", "name") for o in overrides):
         raise InputError(f"{source}: say with --camera which camera took these images")
-    plan = plan_replay(load_for_replay(recording, overrides))
+    loaded = load_for_replay(recording, overrides)
+    recorded = recording.config is not None
+    named = any(override.path == ("controller", "name") for override in overrides)
+    plan = plan_replay(loaded, recorded=recorded, named=named)
     _distinct(source, place.out)
     if not _ticks(recording):
         raise InputError(f"{source}: holds no tick to replay: the run ended before it began")
@@ -60,6 +64,9 @@ def replay_images(
         print(json.dumps(summary, indent=2, allow_nan=False))
     elif not quiet:
         _show(summary, directory.path)
+
+
+_PLUGINS = ("perception", "estimator", "controller")
 
 
 class _Watch(Observer):
@@ -84,7 +91,7 @@ def _show(summary: Mapping[str, Any], directory: Path) -> None:
     """Print the short table at the end of a replay."""
     health, cost = summary["health"], summary["stages_ms"]
     rows = [
-        ("plugins", f"{summary['perception']}, {summary['estimator']}"),
+        ("plugins", ", ".join(summary[k] for k in _PLUGINS if summary[k] is not None)),
         ("images", f"{sum(health['views'].values())}: views {_counts(health['views'])}"),
         ("estimates", _counts(health["estimate"])),
     ]

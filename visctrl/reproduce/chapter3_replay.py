@@ -16,7 +16,8 @@ from visctrl.reproduce.entry import Bench, Row
 from visctrl.runtime.config import parse_setting
 from visctrl.runtime.recorder import TICKS
 from visctrl.runtime.recording import open_recording
-from visctrl.runtime.replay import load_for_replay, plan_replay, replay
+from visctrl.runtime.replay import replay
+from visctrl.runtime.replay_plan import load_for_replay, plan_replay
 from visctrl.runtime.run_directory import RunDirectory
 from visctrl.study.jobs import Job
 from visctrl.viewers.report.ticks import Ticks, read_ticks

@@ -1,70 +1,26 @@
-"""The tick: frame, perception, estimation, control, safety, command."""
+"""The loop: frame, pipeline of plugins, safety, command, at the scheduler's ticks."""
 
 from __future__ import annotations
 
 import time
-import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from visctrl.contracts import (
-    Controller,
-    Decision,
-    Estimate,
-    Estimator,
-    Obstacle,
-    ObstacleProvider,
-    Perception,
-    Plugin,
-    Views,
-)
+from visctrl.contracts import Estimate, Perception
 from visctrl.hal.errors import BaseFaultError
 from visctrl.hal.interfaces import Backend
-from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Velocity
-from visctrl.robots.errors import InputError, VisctrlError
+from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Range, Velocity
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.runtime.pipeline import Pipeline, Reporting, Stage, Watch
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
 from visctrl.runtime.scheduler import Tick, Ticker, prompt_threads
 from visctrl.runtime.stop import StopRequest
 from visctrl.runtime.watchdog import Watchdog
-
-#: Plugins with their names.
-Reporting = tuple[tuple[str, Plugin[Any]], ...]
-
-
-class PluginError(VisctrlError):
-    """A plugin raised an exception in a tick.
-
-    details : its traceback, for the file in the run directory.
-    """
-
-    exit_code = 3
-
-    def __init__(self, who: str, error: Exception) -> None:
-        super().__init__(f"{who} failed: {type(error).__name__}: {error}")
-        self.details = "".join(traceback.format_exception(error))
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A part of a run with its own estimator and controller.
-
-    duration : longest time it may take (s).
-    obstacles : obstacle providers by name.
-    """
-
-    name: str
-    estimator: Estimator[Any, Any]
-    controller: Controller[Any, Any]
-    estimator_name: str
-    controller_name: str
-    duration: float
-    obstacles: Mapping[str, ObstacleProvider[Any, Any]] = field(default_factory=dict)
 
 
 @dataclass
@@ -155,19 +111,21 @@ class Loop:
         self._consistency.prepare(stage.estimator)
         ticker = Ticker(self._backend.clock, self._period)
         self._guard.begin(ticker.origin)
-        turn = _Turn(stage, self._reporting(stage))
+        turn = _Turn(self, self._guard, self._backend, self._timer)
+        pipeline = turn.pipeline = Pipeline(self._perception, self._perception_name, stage, turn)
+        reporting = self._read(pipeline.reporting(), stage)
         for observer in self._observers:
             observer.on_stage(stage.name)
         while True:
             tick = ticker.wait()
             if tick.start - ticker.origin > stage.duration:
-                self._send(None)
+                self.send(None)
                 return False
-            self._tick(turn, tick)
-            if turn.decision.finished:
+            self._tick(pipeline, turn, tick, reporting)
+            if pipeline.decision.finished:
                 return True
 
-    def _send(self, velocity: Velocity | None) -> Velocity:
+    def send(self, velocity: Velocity | None) -> Velocity:
         """Send a command, or stop for None, undisturbed by signals and by the watchdog.
 
         Return what was really sent.
@@ -184,46 +142,40 @@ class Loop:
         self._guard.was_sent(sent, self._backend.clock.now())
         return sent
 
-    def _tick(self, turn: _Turn, tick: Tick) -> None:
+    def _tick(self, pipeline: Pipeline, turn: _Turn, tick: Tick, reporting: Reporting) -> None:
         """Do one tick of a stage."""
         self._stop.check()
         blame = self._count(tick, turn)
-        turn.begin(self._timer())
+        turn.begin()
         truth = self._backend.truth()
         odometry, battery_v = self._check_base()
         frame = self._backend.camera.read()
-        turn.part(self._timer())
-        views = self._views(frame)
-        turn.part(self._timer())
-        self._withdraw_old_command(turn)
-        estimate = self._estimate(views, turn, tick)
-        turn.part(self._timer())
-        self._withdraw_old_command(turn)
-        self._decide(estimate, turn, tick)
-        turn.part(self._timer())
-        self._command(frame, turn)
-        turn.part(self._timer())
+        turn.mark()
+        problem = self._guard.frame_problem(frame, self._backend.clock.now())
+        views, estimate = pipeline.tick(frame, problem, tick.dt)
+        self._command(frame, pipeline)
+        turn.mark()
         record = TickRecord(
             number=self.tally.ticks,
             t=tick.start - self._origin,
-            stage=turn.stage.name,
+            stage=pipeline.stage.name,
             tick=tick,
             frame=frame,
             views=views,
             estimate=estimate,
-            decision=turn.decision,
-            sent=turn.sent,
+            decision=pipeline.decision,
+            sent=pipeline.sent,
             odometry=odometry,
             truth=truth,
             battery_v=battery_v,
-            event=turn.event,
+            event=pipeline.event,
             blame=blame,
-            signals=self._signals(turn, estimate, truth),
+            signals=self._signals(reporting, pipeline.stage, estimate, truth),
             seconds=tuple(turn.seconds),
         )
         for observer in self._observers:
             observer.on_tick(record)
-        turn.part(self._timer())
+        turn.mark()
         self.tally.ticks += 1
 
     def _count(self, tick: Tick, turn: _Turn) -> str:
@@ -241,147 +193,89 @@ class Loop:
             raise BaseFaultError("; ".join(status.faults))
         return self._backend.base.odometry(), status.battery_v
 
-    def _views(self, frame: Frame) -> Views:
-        """Return what perception sees, or nothing where the frame is too old to be the present."""
-        problem = self._guard.frame_problem(frame, self._backend.clock.now())
-        if problem:
-            return Views.nothing(frame.stamp, problem)
-        try:
-            return self._perception.update(frame)
-        except Exception as error:
-            raise PluginError(f"perception '{self._perception_name}'", error) from error
-
-    def _estimate(self, views: Views, turn: _Turn, tick: Tick) -> Estimate:
-        stage = turn.stage
-        try:
-            estimate = stage.estimator.update(views, turn.sent, tick.dt)
-        except Exception as error:
-            raise PluginError(f"estimator '{stage.estimator_name}'", error) from error
-        if not isinstance(estimate, stage.controller.accepts):
-            raise InputError(
-                f"estimator '{stage.estimator_name}' gives {type(estimate).__name__}, controller "
-                f"'{stage.controller_name}' needs {stage.controller.accepts.__name__}"
-            )
-        return estimate
-
-    def _decide(self, estimate: Estimate, turn: _Turn, tick: Tick) -> None:
-        """Ask the controller, whose time stands still while the robot is held."""
+    def _command(self, frame: Frame, pipeline: Pipeline) -> None:
         now = self._backend.clock.now()
-        if turn.steered and not turn.held:
-            turn.acted_s += tick.dt
-        turn.held = self._guard.must_hold(estimate.health, estimate.reason, now)
-        turn.steered = True
-        stage = turn.stage
-        if turn.held:
-            turn.event = turn.event or f"held: {estimate.reason or 'features lost'}"
-            turn.decision = Decision(STANDSTILL, turn.decision.phase)
-            return
-        if stage.obstacles:
-            stage.controller.sense(self._obstacles(stage, estimate, now))
-        try:
-            turn.decision = stage.controller.update(estimate, turn.steering, turn.acted_s)
-        except Exception as error:
-            raise PluginError(f"controller '{stage.controller_name}'", error) from error
-        turn.steering, turn.acted_s = STANDSTILL, 0.0
+        if self._guard.too_old(frame, now) and not pipeline.held:
+            pipeline.hold("the frame grew old while it was worked on")
+        pipeline.was_sent(self.send(self._permitted(pipeline, now)))
+        self.moved = self.moved or pipeline.sent != STANDSTILL
 
-    def _obstacles(self, stage: Stage, estimate: Estimate, now: float) -> list[Obstacle]:
-        """Ask the obstacle providers."""
-        found: list[Obstacle] = []
-        for name, provider in stage.obstacles.items():
-            ranges = self._backend.base.ranges() if provider.listens else ()
-            try:
-                found += provider.update(estimate, ranges, now)
-            except Exception as error:
-                raise PluginError(f"obstacle provider '{name}'", error) from error
-        return found
-
-    def _command(self, frame: Frame, turn: _Turn) -> None:
-        now = self._backend.clock.now()
-        wanted = turn.decision.velocity
-        if self._guard.too_old(frame, now) and not turn.held:
-            turn.held = True
-            turn.event = turn.event or "held: the frame grew old while it was worked on"
-        turn.sent = self._send(self._permitted(wanted, turn, now))
-        if not turn.held:
-            turn.steering = turn.sent
-        self.moved = self.moved or turn.sent != STANDSTILL
-
-    def _permitted(self, wanted: Velocity, turn: _Turn, now: float) -> Velocity | None:
+    def _permitted(self, pipeline: Pipeline, now: float) -> Velocity | None:
         """Return what may be sent, None where the robot must stop."""
-        if turn.held or turn.decision.finished:
+        if pipeline.held or pipeline.decision.finished:
             return None
         try:
-            return self._guard.permit(wanted, now)
+            return self._guard.permit(pipeline.decision.velocity, now)
         except UnsafeCommandError as error:
-            name = turn.stage.controller_name
+            name = pipeline.stage.controller_name
             raise UnsafeCommandError(f"controller '{name}': {error}") from None
 
-    def _withdraw_old_command(self, turn: _Turn) -> None:
-        """Stop a robot whose last command has grown old while a plugin was at work."""
-        if self._guard.expired(self._backend.clock.now()):
-            turn.sent = turn.steering = self._send(None)
-            turn.event = "stopped: the command in force was too old"
-
     def _signals(
-        self, turn: _Turn, estimate: Estimate, truth: Pose | None
+        self, reporting: Reporting, stage: Stage, estimate: Estimate, truth: Pose | None
     ) -> tuple[tuple[str, Mapping[str, float]], ...]:
         """Return what the plugins report of this tick, as far as anybody reads it."""
-        found = [(name, dict(plugin.values())) for name, plugin in turn.reporting]
-        reported = dict(found).get(turn.stage.estimator_name, {})
+        found = [(name, dict(plugin.values())) for name, plugin in reporting]
+        reported = dict(found).get(stage.estimator_name, {})
         if judged := self._consistency.values(estimate, truth, reported):
             found.append((CONSISTENCY, judged))
         return tuple(found)
 
-    def _reporting(self, stage: Stage) -> Reporting:
-        """Return the plugins of a stage whose signals somebody reads, with their names."""
-        everybody: Reporting = (
-            (self._perception_name, self._perception),
-            (stage.estimator_name, stage.estimator),
-            (stage.controller_name, stage.controller),
-            *stage.obstacles.items(),
-        )
-        read = everybody if any(observer.reads_signals for observer in self._observers) else ()
-        if not read and gives_pose(stage.estimator):
+    def _read(self, reporting: Reporting, stage: Stage) -> Reporting:
+        """Return the plugins whose signals somebody reads."""
+        if any(observer.reads_signals for observer in self._observers):
+            return reporting
+        if gives_pose(stage.estimator):
             # Its consistency is always judged, by what it says of itself too.
-            read = everybody[1:2]
-        return tuple((name, plugin) for name, plugin in read if plugin.signals)
+            return tuple(each for each in reporting if each[1] is stage.estimator)
+        return ()
 
 
-class _Turn:
-    """What one stage remembers from tick to tick.
+class _Turn(Watch):
+    """Times the parts of a stage's ticks, and looks after the robot between them.
 
-    reporting : the plugins whose signals are read.
-    sent : velocity that the base was last told.
-    held : the robot is kept at a standstill for want of features.
-    steering : what was sent for the controller's last decision; acted_s : for how long (s).
-    event : what safety did in this tick.
     seconds : duration of the tick's parts so far.
     """
 
-    def __init__(self, stage: Stage, reporting: Reporting) -> None:
-        self.stage = stage
-        self.reporting = reporting
-        self.sent: Velocity = STANDSTILL
-        self.decision = Decision()
-        self.held = False
-        self.steered = False
-        self.steering: Velocity = STANDSTILL
-        self.acted_s = 0.0
-        self.event = ""
+    pipeline: Pipeline
+
+    def __init__(
+        self, loop: Loop, guard: Guard, backend: Backend, timer: Callable[[], float]
+    ) -> None:
+        self._loop, self._guard, self._backend = loop, guard, backend
+        self._timer = timer
         self.seconds: list[float] = []
         self._mark = 0.0
 
-    def begin(self, now: float) -> None:
+    def begin(self) -> None:
         """Start a tick."""
-        self.event = ""
         self.seconds = []
-        self._mark = now
+        self._mark = self._timer()
 
-    def part(self, now: float) -> None:
+    def mark(self) -> None:
         """End a part of the tick."""
+        now = self._timer()
         self.seconds.append(now - self._mark)
         self._mark = now
 
     def slowest(self) -> str:
         """Return the part of the tick that took longest."""
         return STAGES[max(range(len(self.seconds)), key=self.seconds.__getitem__)]
+
+    def after(self, part: str) -> None:
+        """Stop a robot whose last command has grown old while a plugin was at work."""
+        self.mark()
+        if part != "control" and self._guard.expired(self.now()):
+            self._loop.send(None)
+            self.pipeline.was_stopped("stopped: the command in force was too old")
+
+    def must_hold(self, estimate: Estimate) -> bool:
+        """See `Guard.must_hold`."""
+        return self._guard.must_hold(estimate.health, estimate.reason, self.now())
+
+    def now(self) -> float:
+        """Return the time on the backend's clock (s)."""
+        return self._backend.clock.now()
+
+    def ranges(self) -> Sequence[Range]:
+        """See `Base.ranges`."""
+        return self._backend.base.ranges()

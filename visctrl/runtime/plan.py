@@ -231,15 +231,20 @@ def _stage(
     controller = choose(
         loaded, registries.controllers, controller_choice, defaults[1], (*path, "controller")
     )
-    given = estimate_type(estimator.cls)
-    accepted = controller.cls.accepts
-    if given is not None and not issubclass(given, accepted):
-        raise InputError(
-            f"{loaded.origin_of(*path)}: controller '{controller.name}' needs "
-            f"{accepted.__name__}, estimator '{estimator.name}' gives {given.__name__}: choose "
-            "plugins of one scheme"
-        )
+    if problem := misfit(estimator, controller):
+        raise InputError(f"{loaded.origin_of(*path)}: {problem}")
     return StagePlan(estimator, controller)
+
+
+def misfit(estimator: Chosen[Estimator[Any, Any]], controller: Chosen[Controller[Any, Any]]) -> str:
+    """Return why a controller does not go with an estimator, empty if it does."""
+    given, accepted = estimate_type(estimator.cls), controller.cls.accepts
+    if given is None or issubclass(given, accepted):
+        return ""
+    return (
+        f"controller '{controller.name}' needs {accepted.__name__}, estimator '{estimator.name}' "
+        f"gives {given.__name__}: choose plugins of one scheme"
+    )
 
 
 def _providers(

@@ -1,128 +1,35 @@
-"""Perception and estimation once more over recorded images, without a robot."""
+"""The plugins once more over recorded images, without a robot: open loop."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-from visctrl.contracts import Context, Decision, Estimator, Perception, Plugin, Views
-from visctrl.hal.cameras.central import CentralCamera
-from visctrl.hal.types import Frame, Odometry
-from visctrl.robots import Robot, load_robot
-from visctrl.robots.errors import InputError, VisctrlError
+from visctrl.contracts import Controller, Decision, Estimate, Plugin
+from visctrl.hal.types import Frame, Odometry, Velocity
+from visctrl.robots.documents import StrictModel
+from visctrl.robots.errors import InputError
 from visctrl.robots.files import owner_only, writing
-from visctrl.robots.model import Mount
-from visctrl.runtime.config import LoadedScenario, Override, Scenario, load_scenario, to_yaml
+from visctrl.runtime.config import to_yaml
 from visctrl.runtime.images import INITIAL
-from visctrl.runtime.loop import PluginError
 from visctrl.runtime.meter import Meter
-from visctrl.runtime.plan import Chosen, choose, chosen_camera
+from visctrl.runtime.pipeline import Pipeline, Stage, Watch, call_plugin
+from visctrl.runtime.plan import Chosen
 from visctrl.runtime.recorder import CONFIG, Recorder
 from visctrl.runtime.recording import Driven, Recording, Shot, read_image
-from visctrl.runtime.records import Observer, TickRecord
-from visctrl.runtime.registry import REGISTRIES, Registries
+from visctrl.runtime.records import COMPUTE, Observer, TickRecord
+from visctrl.runtime.replay_plan import ReplayPlan
 from visctrl.runtime.run_directory import RunDirectory
-from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.scheduler import Tick
-from visctrl.runtime.schemes import APPROACH_ESTIMATOR, scheme_named
 from visctrl.runtime.summary import versions
 from visctrl.threads import one_thread_of_algebra
 from visctrl.viewers.run_pictures import Pictures
 
 T = TypeVar("T")
-
-#: Sections whose options belong to the plugin that they name.
-_SECTIONS = (
-    ("perception",),
-    ("estimator",),
-    ("controller",),
-    ("approach", "estimator"),
-    ("approach", "controller"),
-)
-
-
-@dataclass(frozen=True)
-class ReplayPlan:
-    """What runs over the images.
-
-    estimators : by stage.
-    """
-
-    scenario: Scenario
-    robot: Robot
-    mount: Mount
-    camera: CentralCamera
-    context: Context
-    perception: Chosen[Perception[Any]]
-    estimators: Mapping[str, Chosen[Estimator[Any, Any]]]
-
-    def effective(self) -> dict[str, Any]:
-        """Return the configuration with every default filled in."""
-        data = self.scenario.model_dump(mode="json", exclude={"backends"})
-        data["perception"] = self.perception.effective()
-        data["estimator"] = self.estimators["main"].effective()
-        data["approach"]["estimator"] = self.estimators["approach"].effective()
-        return data
-
-
-def load_for_replay(recording: Recording, overrides: Sequence[Override]) -> LoadedScenario:
-    """Return the scenario that the images were taken in, with changes laid on it.
-
-    To name another plugin or scheme drops the recorded options of those that it replaces.
-
-    Raises
-    ------
-    InputError
-        See `load_scenario`.
-    """
-    backends = REGISTRIES.backends.known()
-    first: list[Override] = []
-    if recording.camera is not None:
-        origin = str(recording.camera)
-        first.append(Override(("camera", "name"), str(recording.camera), origin))
-    if recording.config is None:
-        return load_scenario(overrides=[*first, *overrides], backend_names=backends)
-    name = str(recording.config)
-    recorded = load_scenario(name, (), backends).data
-    laid = [fresh for override in overrides for fresh in _replacing(override, recorded)]
-    return load_scenario(name, [*first, *laid], backends)
-
-
-def plan_replay(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> ReplayPlan:
-    """Look up perception and estimators, and check their options.
-
-    Raises
-    ------
-    InputError
-        Anything that cannot be used; the message names the file or option and the key.
-    """
-    scenario = loaded.scenario
-    scheme = scheme_named(scenario.scheme)
-    camera = chosen_camera(scenario.camera)
-    robot = load_robot(scenario.robot)
-    mount = robot.mount(scenario.camera.mount or scheme.mount)
-    context = Context(
-        camera=camera,
-        limits=effective_limits(robot, scenario.safety, loaded.origin_of("safety")),
-        camera_forward_m=mount.forward_m,
-        period_s=1.0 / scenario.rate_hz,
-        seed=scenario.seed,
-        lockstep=True,
-        body=robot.body,
-    )
-    kinds = registries.estimators
-    main = choose(loaded, kinds, scenario.estimator, scheme.estimator, ("estimator",))
-    path = ("approach", "estimator")
-    turn = choose(loaded, kinds, scenario.approach.estimator, APPROACH_ESTIMATOR, path)
-    perception = choose(
-        loaded, registries.perception, scenario.perception, scheme.perception, ("perception",)
-    )
-    estimators = {"main": main, "approach": turn}
-    return ReplayPlan(scenario, robot, mount, camera, context, perception, estimators)
 
 
 def replay(
@@ -133,10 +40,11 @@ def replay(
     video: bool = False,
     observers: Sequence[Observer] = (),
 ) -> dict[str, Any]:
-    """Run perception and estimation over the images; return a summary.
+    """Run the plugins over the images; return a summary.
 
-    The files are those of a run. What was sent, the true pose and the odometry are the
-    recording's; a plain folder of images has none.
+    The files are those of a run. The controller runs open loop: it hears what was sent then, and
+    what it decides is recorded and goes nowhere. What was sent, the true pose and the odometry are
+    the recording's; a plain folder of images has none.
 
     Raises
     ------
@@ -151,6 +59,35 @@ def replay(
     shared = directory is not None and directory.shared
     with one_thread_of_algebra(), owner_only(unless=shared):
         return _Replay(recording, plan, directory, video, observers).run()
+
+
+class _Times(Watch):
+    """Times the parts of a tick."""
+
+    def __init__(self) -> None:
+        self.seconds: list[float] = []
+        self._mark = 0.0
+
+    def begin(self) -> None:
+        """Start a tick."""
+        self.seconds, self._mark = [], time.perf_counter()
+
+    def after(self, part: str) -> None:
+        """End a part of it."""
+        now = time.perf_counter()
+        self.seconds.append(now - self._mark)
+        self._mark = now
+
+
+class _Undecided(Controller[StrictModel, Estimate]):
+    """Stands in where no controller goes with the estimator."""
+
+    Options: ClassVar[type[StrictModel]] = StrictModel
+    accepts: ClassVar[type[Estimate]] = Estimate
+
+    def update(self, estimate: Estimate, sent: Velocity, dt: float) -> Decision:
+        """Decide nothing."""
+        return Decision()
 
 
 class _Replay:
@@ -171,6 +108,8 @@ class _Replay:
         self._pictures: Pictures | None = None
         self._health = {"views": Counter[str](), "estimate": Counter[str]()}
         self._last: Driven | None = None
+        self._pipeline: Pipeline | None = None
+        self._times = _Times()
 
     def run(self) -> dict[str, Any]:
         directory = self._directory
@@ -203,9 +142,7 @@ class _Replay:
         plan = self._plan
         self._perception = self._build(plan.perception)
         stages = {shot.driven.stage for shot in self._recording.shots if shot.driven}
-        self._estimators = {
-            stage: self._build(plan.estimators[stage]) for stage in sorted(stages | {"main"})
-        }
+        self._stages = {stage: self._stage(stage) for stage in sorted(stages | {"main"})}
         self._start_recording()
         self._take_target()
         for shot in self._recording.shots:
@@ -224,15 +161,16 @@ class _Replay:
         if self._video:
             self._pictures.start_video(lockstep=True)
         named: list[tuple[str, Plugin[Any]]] = [(self._plan.perception.name, self._perception)]
-        for stage, estimator in self._estimators.items():
-            named.append((self._plan.estimators[stage].name, estimator))
+        for stage in self._stages.values():
+            named.append((stage.estimator_name, stage.estimator))
+            named.append((stage.controller_name, stage.controller))
         self._recorder = Recorder(self._directory.path, named, lockstep=True)
         self._observers.append(self._recorder)
 
     def _take_target(self) -> None:
         frames = self._recording.target
         try:
-            self._call(self._perceiver, lambda: self._perception.set_target(frames))
+            call_plugin(self._perceiver, lambda: self._perception.set_target(frames))
         except InputError as error:
             raise InputError(f"{self._recording.target_origin}: {error}") from error
         for observer in self._observers:
@@ -240,7 +178,7 @@ class _Replay:
 
     def _take_initial(self, frame: Frame, path: Path) -> None:
         try:
-            match = self._call(self._perceiver, lambda: self._perception.set_initial(frame))
+            match = call_plugin(self._perceiver, lambda: self._perception.set_initial(frame))
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
         for observer in self._observers:
@@ -248,26 +186,21 @@ class _Replay:
         self._last = None
 
     def _tick(self, frame: Frame, shot: Shot, driven: Driven) -> None:
-        estimator = self._estimators[driven.stage]
-        name = self._plan.estimators[driven.stage].name
-        if self._last is None or driven.stage != self._last.stage:
-            self._call(f"estimator '{name}'", estimator.reset)
-            for observer in self._observers:
-                observer.on_stage(driven.stage)
-        dt = self._since_last(driven)
-        began = time.perf_counter()
+        pipeline = self._pipeline
+        if self._last is None or pipeline is None or driven.stage != self._last.stage:
+            pipeline = self._begin_stage(driven)
+        problem = ""
         if shot.age > self._plan.scenario.safety.max_frame_age_s:
-            views = Views.nothing(frame.stamp, f"frame is {shot.age:.2f} s old")
-        else:
-            views = self._call(self._perceiver, lambda: self._perception.update(frame))
-        seen = time.perf_counter()
-        estimate = self._call(
-            f"estimator '{name}'", lambda: estimator.update(views, driven.before, dt)
-        )
-        done = time.perf_counter()
+            problem = f"frame is {shot.age:.2f} s old"
+        dt = self._since_last(driven)
+        pipeline.sent = driven.before
+        self._times.begin()
+        views, estimate = pipeline.tick(frame, problem, dt)
+        pipeline.was_sent(driven.sent)
         self._last = driven
         self._health["views"][views.health] += 1
         self._health["estimate"][estimate.health] += 1
+        deciding = self._plan.controllers[driven.stage] is not None
         record = TickRecord(
             number=driven.number,
             t=driven.t,
@@ -276,18 +209,34 @@ class _Replay:
             frame=frame,
             views=views,
             estimate=estimate,
-            decision=Decision(driven.wanted, driven.phase),
+            decision=pipeline.decision if deciding else Decision(driven.wanted, driven.phase),
             sent=driven.sent,
             odometry=Odometry(frame.stamp, driven.odometry, driven.measured),
             truth=driven.truth,
             battery_v=driven.battery_v,
             event=driven.event,
             blame="",
-            signals=self._signals(name, estimator),
-            seconds=(0.0, seen - began, done - seen, 0.0, 0.0),
+            signals=tuple((who, dict(each.values())) for who, each in pipeline.reporting()),
+            seconds=(0.0, *self._times.seconds, 0.0),
         )
         for observer in self._observers:
             observer.on_tick(record)
+
+    def _begin_stage(self, driven: Driven) -> Pipeline:
+        stage = self._stages[driven.stage]
+        call_plugin(f"estimator '{stage.estimator_name}'", stage.estimator.reset)
+        for observer in self._observers:
+            observer.on_stage(stage.name)
+        self._pipeline = Pipeline(self._perception, self._plan.perception.name, stage, self._times)
+        return self._pipeline
+
+    def _stage(self, name: str) -> Stage:
+        estimator, law = self._plan.estimators[name], self._plan.controllers[name]
+        controller: Controller[Any, Any] = _Undecided(StrictModel(), self._plan.context)
+        if law is not None:
+            controller = self._build(law)
+        named = "none" if law is None else law.name
+        return Stage(name, self._build(estimator), controller, estimator.name, named, math.inf)
 
     def _since_last(self, driven: Driven) -> float:
         """Return the time since the last frame replayed: images may be missing in between."""
@@ -296,15 +245,6 @@ class _Replay:
             return driven.dt
         return driven.t - last.t
 
-    def _signals(
-        self, name: str, estimator: Estimator[Any, Any]
-    ) -> tuple[tuple[str, Mapping[str, float]], ...]:
-        plugins: tuple[tuple[str, Plugin[Any]], ...] = (
-            (self._plan.perception.name, self._perception),
-            (name, estimator),
-        )
-        return tuple((who, dict(plugin.values())) for who, plugin in plugins if plugin.signals)
-
     def _summary(self) -> dict[str, Any]:
         plan, meter = self._plan, self._meter
         return {
@@ -312,12 +252,13 @@ class _Replay:
             "source": str(self._recording.source),
             "perception": plan.perception.name,
             "estimator": plan.estimators["main"].name,
+            "controller": law.name if (law := plan.controllers["main"]) is not None else None,
             "camera": plan.camera.name,
             "seed": plan.scenario.seed,
             "ticks": meter.main_ticks,
             "features": meter.features(),
             "health": {kind: dict(counts) for kind, counts in self._health.items()},
-            "stages_ms": {kind: meter.spread_ms(kind) for kind in ("perception", "estimation")},
+            "stages_ms": {kind: meter.spread_ms(kind) for kind in COMPUTE},
             "versions": versions(),
         }
 
@@ -327,18 +268,10 @@ class _Replay:
 
     def _build(self, chosen: Chosen[T]) -> T:
         who = f"{chosen.kind} '{chosen.name}'"
-        plugin = self._call(who, lambda: chosen.build(self._plan.context))
+        plugin = call_plugin(who, lambda: chosen.build(self._plan.context))
         if isinstance(plugin, Plugin):
             self._plugins.append(plugin)
         return plugin
-
-    def _call(self, who: str, work: Callable[[], T]) -> T:
-        try:
-            return work()
-        except VisctrlError:
-            raise
-        except Exception as error:
-            raise PluginError(who, error) from error
 
     def _close(self) -> None:
         while self._plugins:
@@ -346,18 +279,3 @@ class _Replay:
         if self._recorder is not None:
             self._recorder.close()
             self._recorder = None
-
-
-def _replacing(override: Override, recorded: Mapping[str, Any]) -> list[Override]:
-    """Return an override, after one that clears the options of a plugin that it replaces."""
-    if override.path == ("scheme",) and override.value != recorded.get("scheme"):
-        cleared = [Override(path, {}, override.origin) for path in _SECTIONS[:3]]
-        return [*cleared, override]
-    section, key = override.path[:-1], override.path[-1]
-    if section in _SECTIONS and key == "name":
-        here: Any = recorded
-        for part in section:
-            here = here.get(part, {})
-        if here.get("name") != override.value:
-            return [Override(section, {"name": override.value}, override.origin)]
-    return [override]

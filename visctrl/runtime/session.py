@@ -22,8 +22,9 @@ from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.images import ImageRecorder
 from visctrl.runtime.interrupts import Interrupted, Interrupts
-from visctrl.runtime.loop import Loop, PluginError, Stage, Tally
+from visctrl.runtime.loop import Loop, Tally
 from visctrl.runtime.meter import Meter
+from visctrl.runtime.pipeline import PluginError, Stage, call_plugin
 from visctrl.runtime.plan import Chosen, Plan, StagePlan
 from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, Reporting
 from visctrl.runtime.records import Observer
@@ -181,7 +182,7 @@ class _Session:
             stages.insert(0, self._stage("approach", plan.approach, context, timeout))
         for stage in stages:
             for name, provider in stage.obstacles.items():
-                expected = _call(f"obstacle provider '{name}'", provider.expected)
+                expected = call_plugin(f"obstacle provider '{name}'", provider.expected)
                 stage.controller.expect(expected)
         self._take_target(backend, perception)
         self._take_initial(backend, perception)
@@ -212,7 +213,7 @@ class _Session:
         self, stage: Stage, loop: Loop, backend: Backend, perception: Perception[Any]
     ) -> bool:
         """Run one stage; after a turn, take the initial view again from where the robot is."""
-        _call(f"estimator '{stage.estimator_name}'", stage.estimator.reset)
+        call_plugin(f"estimator '{stage.estimator_name}'", stage.estimator.reset)
         loop.moved = False
         finished = loop.run(stage)
         if stage.name == "approach" and finished and loop.moved:
@@ -235,7 +236,7 @@ class _Session:
         )
 
     def _build(self, chosen: Chosen[T], context: Context) -> T:
-        plugin = _call(f"{chosen.kind} '{chosen.name}'", lambda: chosen.build(context))
+        plugin = call_plugin(f"{chosen.kind} '{chosen.name}'", lambda: chosen.build(context))
         if isinstance(plugin, Plugin):
             self._plugins.append(plugin)
         return plugin
@@ -272,14 +273,14 @@ class _Session:
                 f"backend '{self._plan.scenario.backend}' cannot visit the target: take its view "
                 "there with `visctrl teach -o target.npz`, and run with --target target.npz"
             )
-        _call(self._perceiver, lambda: perception.set_target(frames))
+        call_plugin(self._perceiver, lambda: perception.set_target(frames))
         for observer in self._observers:
             observer.on_target(frames)
 
     def _take_initial(self, backend: Backend, perception: Perception[Any]) -> None:
         self._tell("matching the initial view to the target")
         frame = backend.camera.read()
-        match = _call(self._perceiver, lambda: perception.set_initial(frame))
+        match = call_plugin(self._perceiver, lambda: perception.set_initial(frame))
         for observer in self._observers:
             observer.on_initial(frame, match)
 
@@ -362,16 +363,6 @@ class _Session:
     def _draw(self) -> None:
         if self._pictures is not None:
             self._notes += self._pictures.finish()
-
-
-def _call(who: str, work: Callable[[], T]) -> T:
-    """Call into a plugin; what it raises for the user passes, anything else is its fault."""
-    try:
-        return work()
-    except VisctrlError:
-        raise
-    except Exception as error:
-        raise PluginError(who, error) from error
 
 
 def _ended_by(error: BaseException) -> End:

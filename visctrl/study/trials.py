@@ -22,7 +22,7 @@ from visctrl.runtime.config import (
     scenario_names,
     scenario_source,
 )
-from visctrl.runtime.loop import PluginError
+from visctrl.runtime.pipeline import PluginError
 from visctrl.runtime.plan import Chosen, Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.study.grid import START_KEYS, Study, study_source
