@@ -27,10 +27,10 @@ from two_cores import machine_ratio
 
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.study.loading import load_study
 from visctrl.study.log import StudyLog
 from visctrl.study.runner import run_study, table_rows
 from visctrl.study.table import write_table
-from visctrl.study.trials import load_study
 from visctrl.study.workers import LocalWorkers
 
 RUNS, ROUNDS = 100, 3

@@ -72,7 +72,7 @@ def test_simulation(benchmark: Any, drawer: DrawerName, plain: Draw) -> None:
     if problem := drawer_problem(drawer):
         pytest.skip(problem)
     changes = [parse_setting(f"sim.renderer={drawer}")]
-    plan = make_plan(load_scenario("default", changes, REGISTRIES.backends.known()))
+    plan = make_plan(load_scenario("default", changes, REGISTRIES.backends.names()))
     factors: list[float] = []
 
     def run() -> None:

@@ -17,11 +17,12 @@ from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
-from visctrl.study.jobs import Job, run_jobs
+from visctrl.study.batch import drive, run_all
+from visctrl.study.loading import load_study
 from visctrl.study.log import StudyLog
+from visctrl.study.run_spec import RunSpec
 from visctrl.study.runner import run_study, table_rows
 from visctrl.study.table import Row, write_table
-from visctrl.study.trials import load_study
 from visctrl.study.workers import Results
 
 T = TypeVar("T")
@@ -35,7 +36,7 @@ JOBS, STUDIES = 100, 3
 def measured(benchmark: Any, *settings: str, bound: str = "") -> None:
     """Time whole runs of the mock scenario."""
     changes = [parse_setting(text) for text in settings]
-    plan = make_plan(load_scenario("mock", changes, REGISTRIES.backends.known()))
+    plan = make_plan(load_scenario("mock", changes, REGISTRIES.backends.names()))
     simulated, ticks = [], []
 
     def run() -> None:
@@ -74,13 +75,13 @@ def test_run_by_features(benchmark: Any, features: int) -> None:
 
 def test_two_processes(benchmark: Any) -> None:
     """A small study in two processes against the same in one; wall time, start included."""
-    jobs = [Job("mock", (f"seed={seed}",)) for seed in range(JOBS)]
+    jobs = [RunSpec("mock", (f"seed={seed}",)) for seed in range(JOBS)]
 
     took: dict[int, list[float]] = {1: [], 2: []}
 
     def study(workers: int) -> None:
         began = time.perf_counter()
-        run_jobs(jobs, workers, lambda index, summary: None)
+        run_all(jobs, workers, lambda index, summary: None, drive)
         took[workers].append(time.perf_counter() - began)
 
     benchmark.pedantic(lambda: study(2), setup=lambda: study(1), rounds=STUDIES)

@@ -78,7 +78,7 @@ def rendered(camera: Any) -> tuple[list[Frame], list[Frame]]:
 def plan_of(scheme: str, *settings: str) -> Plan:
     """Return the default scenario with another scheme."""
     changes = [parse_setting(text) for text in (f"scheme={scheme}", *settings)]
-    return make_plan(load_scenario("default", changes, REGISTRIES.backends.known()))
+    return make_plan(load_scenario("default", changes, REGISTRIES.backends.names()))
 
 
 def measured(benchmark: Any, plan: Plan, bound: str) -> None:

@@ -91,7 +91,7 @@ def spells(rng: np.random.Generator, until: float, length: Span) -> list[Span]:
 
 def plan_for(data: dict[str, Any]) -> Plan:
     """Return the plan of a scenario."""
-    return make_plan(scenario_from(data, "soak", (), REGISTRIES.backends.known()))
+    return make_plan(scenario_from(data, "soak", (), REGISTRIES.backends.names()))
 
 
 def long_run(hours: float, seed: int) -> Plan:

@@ -25,7 +25,7 @@ def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def plan_with(*settings: str):
     overrides = [parse_setting(text) for text in ("backend=mock", *settings)]
-    return make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+    return make_plan(load_scenario("default", overrides, REGISTRIES.backends.names()))
 
 
 def test_the_example_reaches_the_target(example: str) -> None:

@@ -41,7 +41,7 @@ def unopened(request: pytest.FixtureRequest) -> Iterator[Open]:
             Override(tuple(key.replace("backend_", name + ".").split(".")), value, "--set")
             for key, value in values.items()
         ]
-        loaded = load_scenario("default", overrides, REGISTRIES.backends.known())
+        loaded = load_scenario("default", overrides, REGISTRIES.backends.names())
         backend = make_plan(loaded).open_backend()
         made.append(backend)
         return backend

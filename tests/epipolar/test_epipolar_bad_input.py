@@ -31,7 +31,7 @@ CAMERAS = [PERSPECTIVE, omnidirectional("hypercatadioptric")]
 
 def plan(*settings: str):
     overrides = [parse_setting(text) for text in ("scheme=epipolar", *settings)]
-    return make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+    return make_plan(load_scenario("default", overrides, REGISTRIES.backends.names()))
 
 
 def textured(camera: CentralCamera) -> np.ndarray:

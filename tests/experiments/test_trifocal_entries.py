@@ -10,7 +10,8 @@ from visctrl.reproduce.catalogue import ENTRIES
 from visctrl.reproduce.chapter3 import RESOLUTION, TABLE_3_1, _judged
 from visctrl.reproduce.chapter3_plots import plot_motion, plot_states, plot_tensors
 from visctrl.reproduce.image_motion import FILE
-from visctrl.study.jobs import Job, run_job
+from visctrl.reproduce.recorded_run import drive
+from visctrl.study.run_spec import RunSpec
 
 
 @pytest.mark.parametrize("name", sorted(ENTRIES))
@@ -29,8 +30,8 @@ def test_a_published_zero_is_what_rounds_to_it():
 
 def test_a_run_is_drawn_with_the_motion_of_its_features(tmp_path):
     settings = ("backend=mock", "start.x_m=0", "start.y_m=-0.6", "start.phi_deg=0")
-    job = Job("default", settings, tmp_path / folder_name("a run", "φ1 = 0"), image_motion=True)
-    summary = run_job(job)
+    job = RunSpec("default", settings, tmp_path / folder_name("a run", "φ1 = 0"))
+    summary = drive(job)
     assert summary["status"] == "reached"
     with np.load(job.out / FILE) as data:
         assert len(data["ids"]) == len(data["pixels"]) > 0

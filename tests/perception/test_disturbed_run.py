@@ -72,7 +72,7 @@ def test_blackout_and_walker_cost_neither_the_run_nor_its_accuracy(tmp_path: Pat
         "start.phi_deg": -25.0,
     }
     overrides = [Override(tuple(k.split(".")), v, f"--set {k}") for k, v in settings.items()]
-    loaded = load_scenario("default", overrides, registries.backends.known())
+    loaded = load_scenario("default", overrides, registries.backends.names())
     seen = Seen()
     outcome = run_session(make_plan(loaded, registries), tmp_path / "run", observers=[seen])
     assert outcome.summary["status"] == "reached", outcome.summary["reason"]

@@ -145,5 +145,5 @@ def run(settings: dict[str, Any], watch: Watch, backend: str = "mock") -> Outcom
     registries.backends.builtin["solid"] = "obstacle_world:SolidMock"
     base = {"backend": backend, "scheme": "pose", **settings}
     overrides = [Override(tuple(k.split(".")), v, f"--set {k}") for k, v in base.items()]
-    loaded = load_scenario("default", overrides, registries.backends.known())
+    loaded = load_scenario("default", overrides, registries.backends.names())
     return run_session(make_plan(loaded, registries), observers=[watch])

@@ -35,7 +35,7 @@ def run(settings: dict[str, Any], out: Path | None = None) -> Outcome:
         Override(tuple(key.split(".")), value, f"--set {key}={value}")
         for key, value in (base | settings).items()
     ]
-    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.names()))
     return run_session(plan, out)
 
 

@@ -36,7 +36,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a turn towards the target, the first second of the way, and a frozen camera."""
     directory = tmp_path_factory.mktemp("recorded") / "run"
     overrides = [parse_setting(text) for text in SETTINGS]
-    loaded = load_scenario("default", overrides, REGISTRIES.backends.known())
+    loaded = load_scenario("default", overrides, REGISTRIES.backends.names())
     run_session(make_plan(loaded), directory)
     return directory
 

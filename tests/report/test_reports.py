@@ -16,9 +16,9 @@ from visctrl.robots.errors import InputError
 from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
-from visctrl.runtime.session import run_session
 from visctrl.viewers.report.comparison import write_comparison
 from visctrl.viewers.report.run_report import write_report
+from visctrl.viewers.run_pictures import run_with_pictures
 
 SHORT = ("backend=mock", "duration_s=3", "mock.noise_px=0.3")
 SCHEMES = {
@@ -30,8 +30,8 @@ SCHEMES = {
 
 def drive(directory: Path, *settings: str) -> Path:
     overrides = [parse_setting(text) for text in (*SHORT, *settings)]
-    run_session(
-        make_plan(load_scenario("default", overrides, REGISTRIES.backends.known())), directory
+    run_with_pictures(
+        make_plan(load_scenario("default", overrides, REGISTRIES.backends.names())), directory
     )
     return directory
 
@@ -120,8 +120,8 @@ def test_the_report_made_again_is_the_same(
 def test_a_run_on_the_configuration_in_the_report_is_the_same_run(
     runs: dict[str, Path], tmp_path: Path
 ) -> None:
-    loaded = load_scenario(str(runs["trifocal"]), [], REGISTRIES.backends.known())
-    run_session(make_plan(loaded), tmp_path / "again")
+    loaded = load_scenario(str(runs["trifocal"]), [], REGISTRIES.backends.names())
+    run_with_pictures(make_plan(loaded), tmp_path / "again")
     again, before = (
         json.loads((path / "summary.json").read_text())["final_error"]
         for path in (tmp_path / "again", runs["trifocal"])

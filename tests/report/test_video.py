@@ -14,8 +14,8 @@ from visctrl.robots import load_robot
 from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
-from visctrl.runtime.session import run_session
 from visctrl.viewers.report.topview import Outline
+from visctrl.viewers.run_pictures import run_with_pictures
 from visctrl.viewers.video.overhead import draw_overhead
 
 
@@ -49,8 +49,8 @@ def test_a_robot_that_is_nowhere_can_be_drawn(robot: Pose) -> None:
 def test_a_video_shows_image_tracks_and_top_view_tick_by_tick(tmp_path: Path) -> None:
     settings = ("backend=mock", "mock.noise_px=0.3", "duration_s=1.5", "camera.width=404")
     overrides = [parse_setting(text) for text in settings]
-    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
-    outcome = run_session(plan, tmp_path, video=True)
+    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.names()))
+    outcome = run_with_pictures(plan, tmp_path, video=True)
     video = cv2.VideoCapture(str(tmp_path / "video.mp4"))
     pictures = []
     while (read := video.read())[0]:

@@ -44,7 +44,7 @@ def toy_plan(registries: Registries) -> Callable[..., Plan]:
         merged = {**TOY, **(settings or {})}
         overrides = [Override(tuple(k.split(".")), v, f"--set {k}") for k, v in merged.items()]
         return make_plan(
-            load_scenario("default", overrides, registries.backends.known()), registries
+            load_scenario("default", overrides, registries.backends.names()), registries
         )
 
     return plan

@@ -22,7 +22,7 @@ def test_the_default_run_ends_where_it_does_with_the_default_renderer() -> None:
     if problem := drawer_problem("gl"):
         pytest.skip(problem)
     changes = [parse_setting(text) for text in ("sim.renderer=gl", "camera.width=400")]
-    plan = make_plan(load_scenario("default", changes, REGISTRIES.backends.known()))
+    plan = make_plan(load_scenario("default", changes, REGISTRIES.backends.names()))
     summary = run_session(plan).summary
     error = summary["final_error"]
     assert summary["status"] == "reached"

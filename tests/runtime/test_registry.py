@@ -83,7 +83,7 @@ def test_a_third_party_tells_of_obstacles(installed: Registries, tmp_path: Path)
     def plan(*settings: str) -> Plan:
         chosen = ("scheme=pose", "obstacles=[{name: wall, y_m: 1.5}]", *settings)
         overrides = [parse_setting(text) for text in chosen]
-        return make_plan(load_scenario("mock", overrides, installed.backends.known()), installed)
+        return make_plan(load_scenario("mock", overrides, installed.backends.names()), installed)
 
     assert "wall" in installed.obstacles.names()
     chosen = plan()
@@ -119,7 +119,7 @@ def test_providers_that_do_not_fit_are_refused(
 ) -> None:
     overrides = [parse_setting(text) for text in ("scheme=pose", *settings)]
     with pytest.raises(InputError, match=said):
-        make_plan(load_scenario("mock", overrides, installed.backends.known()), installed)
+        make_plan(load_scenario("mock", overrides, installed.backends.names()), installed)
 
 
 @pytest.mark.parametrize(
@@ -139,14 +139,6 @@ def test_broken_plugins_are_named(installed: Registries, name: str, words: str) 
     with pytest.raises(InputError) as caught:
         installed.controllers.load(name)
     assert words in str(caught.value)
-
-
-def test_names_of_planned_plugins_are_known_but_not_there(registries: Registries) -> None:
-    registries.controllers.builtin["some-day"] = "visctrl.control.some_day:SomeDay"
-    assert "some-day" in registries.controllers.known()
-    assert "some-day" not in registries.controllers.names()
-    with pytest.raises(InputError, match="controller 'some-day' is not available yet"):
-        registries.controllers.load("some-day")
 
 
 def test_estimators_say_what_they_give(registries: Registries) -> None:

@@ -26,6 +26,7 @@ from visctrl.robots.errors import InputError
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import Outcome, run_session
+from visctrl.viewers.run_pictures import run_with_pictures
 
 MakePlan = Callable[..., Plan]
 
@@ -53,7 +54,10 @@ class Watcher(Observer):
 
 def run(plan: Plan, out: Path | None = None) -> tuple[Outcome, SpyBackend, Watcher]:
     watcher = Watcher()
-    outcome = run_session(plan, out, observers=[watcher])
+    if out is None:
+        outcome = run_session(plan, observers=[watcher])
+    else:
+        outcome = run_with_pictures(plan, out, observers=[watcher])
     (backend,) = SpyBackend.opened
     return outcome, backend, watcher
 

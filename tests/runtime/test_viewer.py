@@ -23,6 +23,7 @@ from visctrl.robots.unicycle import to_rep103
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
+from visctrl.viewers.run_pictures import run_with_pictures
 
 foxglove = pytest.importorskip("foxglove")
 reading = pytest.importorskip("mcap.reader")
@@ -62,7 +63,7 @@ def messages(path: Path) -> dict[str, list[tuple[str, int, bytes]]]:
 @pytest.fixture
 def recorded(toy_plan: MakePlan, tmp_path: Path) -> tuple[Path, list[TickRecord]]:
     keeps = Keeps()
-    run_session(
+    run_with_pictures(
         toy_plan({"controller.drive_s": 1.5}), tmp_path / "run", mcap=True, observers=[keeps]
     )
     return tmp_path / "run" / "run.mcap", keeps.records
@@ -116,7 +117,7 @@ def test_a_run_that_never_began_leaves_no_file(toy_plan: MakePlan, tmp_path: Pat
             raise InputError("no")
 
     with pytest.raises(InputError):
-        run_session(toy_plan(), tmp_path / "run", mcap=True, observers=[Refuses()])
+        run_with_pictures(toy_plan(), tmp_path / "run", mcap=True, observers=[Refuses()])
     assert not (tmp_path / "run").exists()
 
 

@@ -63,7 +63,7 @@ def test_sonar_alone_leads_round_a_box_on_rendered_images() -> None:
         **{"sim.boxes": [{"x_m": -0.1, "y_m": -1.6}], "obstacles": [{"name": "sonar"}]},
     }
     overrides = [Override(tuple(k.split(".")), v, f"--set {k}") for k, v in settings.items()]
-    loaded = load_scenario("default", overrides, REGISTRIES.backends.known())
+    loaded = load_scenario("default", overrides, REGISTRIES.backends.names())
     summary = run_session(make_plan(loaded)).summary
     # The session calls a run missed that has touched anything.
     assert summary["status"] == "reached", summary["reason"]

@@ -20,10 +20,10 @@ from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.study import cluster
 from visctrl.study.cluster import ClusterError, ClusterWorkers
+from visctrl.study.loading import load_study
 from visctrl.study.log import StudyLog
 from visctrl.study.runner import run_study, table_rows
 from visctrl.study.table import write_table
-from visctrl.study.trials import load_study
 from visctrl.study.workers import Died, LocalWorkers, Workers
 
 pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")

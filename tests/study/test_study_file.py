@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from visctrl.robots.errors import InputError
 from visctrl.study.grid import Draw, Study, study_names
-from visctrl.study.trials import LoadedStudy, load_study
+from visctrl.study.loading import LoadedStudy, load_study
 
 GRID = {"mock.noise_px": [0.0, 1.0], "controller.tau_s": [10.0, 12.0, 14.0]}
 
@@ -172,7 +172,7 @@ def test_a_scenario_beside_the_study_is_found(tmp_path: Path) -> None:
     (tmp_path / "beside.yaml").write_text("backend: mock\nrobot: p3at\n")
     study = loaded(tmp_path, {"scenario": "beside.yaml", "runs": 2})
     study.check()
-    assert [trial.scenario["robot"] for trial in study.trials()] == ["p3at", "p3at"]
+    assert [trial.scenario["robot"] for trial in study.runs()] == ["p3at", "p3at"]
 
 
 def test_a_run_is_another_one_when_a_file_that_it_names_has_changed(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_run_is_another_one_when_a_file_that_it_names_has_changed(tmp_path: Pa
         file.write_text(yaml.safe_dump({**camera.model_dump(mode="json"), "fx": fx}))
         study = loaded(tmp_path, {"settings": {"camera.name": str(file)}, "runs": 1})
         study.check()
-        keys += [trial.key for trial in study.trials()]
+        keys += [trial.key for trial in study.runs()]
     assert len(set(keys)) == 2
 
 

@@ -21,10 +21,10 @@ import yaml
 from visctrl.cli.main import main
 from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.study.loading import LoadedStudy, load_study
 from visctrl.study.log import LOG, StudyLog
 from visctrl.study.runner import run_study, table_rows
 from visctrl.study.table import TABLE, write_table
-from visctrl.study.trials import LoadedStudy, load_study
 from visctrl.study.workers import LocalWorkers, Workers
 
 ROOT = Path(__file__).parents[2]

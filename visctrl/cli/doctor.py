@@ -264,7 +264,7 @@ def tick_budget(camera: CameraChoice) -> Iterator[Finding]:
             for name, value in camera.model_dump(exclude_unset=True).items()
         ),
     ]
-    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.names()))
     worked = []
     with plan.open_backend() as backend:
         context = plan.context(backend.clock.lockstep)

@@ -19,7 +19,7 @@ from visctrl.runtime.config import (
 )
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
-from visctrl.runtime.schemes import SCHEMES, missing_plugins
+from visctrl.runtime.schemes import schemes
 from visctrl.study.grid import study_names, study_title
 
 _WIDE = 200
@@ -34,12 +34,7 @@ def show_everything() -> None:
     _show(console, "studies", ((name, study_title(name)) for name in study_names()))
     _show(console, "robots", ((name, load_robot(name).title) for name in robot_names()))
     _show(console, "cameras", ((name, _camera_line(name)) for name in camera_names()))
-    schemes = []
-    for name, scheme in SCHEMES.items():
-        missing = missing_plugins(scheme, registries)
-        note = f" (not available yet: needs {', '.join(missing)})" if missing else ""
-        schemes.append((name, scheme.title + note))
-    _show(console, "schemes", schemes)
+    _show(console, "schemes", ((name, scheme.title) for name, scheme in schemes().items()))
     for title, registry in (
         ("backends", registries.backends),
         ("perception", registries.perception),
@@ -58,7 +53,7 @@ def show_scenario(name: str, overrides: Sequence[Override], *, resolve: bool) ->
     InputError
         It could not be run.
     """
-    loaded = load_scenario(name, overrides, REGISTRIES.backends.known())
+    loaded = load_scenario(name, overrides, REGISTRIES.backends.names())
     plan = make_plan(loaded)
     data = plan.effective() if resolve else loaded.data
     sys.stdout.write(to_yaml(data))

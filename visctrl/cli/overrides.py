@@ -70,7 +70,7 @@ def load_for_backend(
     InputError
         The scenario cannot be used, or the backend does not understand an option.
     """
-    backends = REGISTRIES.backends.known()
+    backends = REGISTRIES.backends.names()
     loaded = load_scenario(scenario, overrides, backends)
     given = {option: value for option, value in flags.items() if value is not None}
     if not given:

@@ -20,6 +20,7 @@ from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.replay import replay
 from visctrl.runtime.replay_plan import load_for_replay, plan_replay
+from visctrl.viewers.run_pictures import Pictures
 
 
 def replay_images(
@@ -42,7 +43,7 @@ def replay_images(
     runs = absolute(RUNS)
 
     def rate_hz() -> float:
-        known = REGISTRIES.backends.known()
+        known = REGISTRIES.backends.names()
         return load_scenario(overrides=overrides, backend_names=known).scenario.rate_hz
 
     recording = open_recording(source, target, rate_hz)
@@ -59,7 +60,8 @@ def replay_images(
     console = Console(stderr=True)
     with Progress(console=console, disable=quiet, transient=True) as bar:
         watch = _Watch(bar, bar.add_task("replay", total=_ticks(recording)))
-        summary = replay(recording, plan, directory, video=video, observers=[watch])
+        pictures = Pictures(plan, directory.path, video=video)
+        summary = replay(recording, plan, directory, observers=[watch, pictures])
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
     elif not quiet:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from visctrl.reproduce.catalogue import ENTRIES, Entry, entries_named
 from visctrl.reproduce.entry import Bench, Row
-from visctrl.study.jobs import default_workers
+from visctrl.study.workers import default_workers
 
 
 def show_entries() -> None:

@@ -21,7 +21,8 @@ from visctrl.robots.files import absolute
 from visctrl.runtime.config import Override
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.run_directory import RunDirectory
-from visctrl.runtime.session import Outcome, run_session
+from visctrl.runtime.session import Outcome
+from visctrl.viewers.run_pictures import run_with_pictures
 
 RUNS = Path("runs")
 NOBODY = Watching()
@@ -83,7 +84,7 @@ def run(
     ):
         directory = place.claim(runs, stem(f"{plan.scenario.backend}-{plan.scenario.scheme}"))
         observers = [progress, *outside.observers]
-        outcome = run_session(
+        outcome = run_with_pictures(
             plan, directory, video=video, mcap=watching.mcap, observers=observers, stop=outside.stop
         )
         outside.finish(outcome)

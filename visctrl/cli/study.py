@@ -16,11 +16,11 @@ from visctrl.cli.study_progress import StudyProgress
 from visctrl.robots.errors import InputError
 from visctrl.robots.files import absolute, owner_only, write_text, writing
 from visctrl.runtime.interrupts import Interrupted, Interrupts
+from visctrl.study.loading import LoadedStudy, load_study
 from visctrl.study.log import StudyLog
 from visctrl.study.runner import run_study, table_rows
 from visctrl.study.summary import SUMMARY, summarised
 from visctrl.study.table import Row, write_table
-from visctrl.study.trials import LoadedStudy, load_study
 from visctrl.study.workers import LocalWorkers, Workers, default_workers
 
 RUNS = Path("runs")

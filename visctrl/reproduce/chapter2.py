@@ -25,7 +25,7 @@ from visctrl.reproduce.cases import (
 )
 from visctrl.reproduce.chapter2_plots import plot_motion, plot_runs, plot_scatter, plot_sweeps
 from visctrl.reproduce.entry import Bench, Row, at_least, at_most
-from visctrl.study.jobs import Job
+from visctrl.study.run_spec import RunSpec
 
 #: Table 2.1: starts (m, m, deg) and published final errors (cm, cm, deg).
 TABLE_2_1: tuple[tuple[Start, tuple[float, float, float]], ...] = (
@@ -262,12 +262,12 @@ def _simulated(bench: Bench, start: Start, duration: float) -> list[Row]:
     """
     where = ("backend=sim", "scheme=epipolar", *start_at(start))
     runs = {
-        camera: Job("default", (*where, f"camera.name={camera}"), bench.out / camera, True)
+        camera: RunSpec("default", (*where, f"camera.name={camera}"), bench.out / camera)
         for camera in SIMULATED_CM
     }
     settings = (*where, "camera.name=perspective", f"duration_s={duration + 5.0}")
     source = (*settings, *_source_law(duration), "controller.distance_23_m=5")
-    runs[f"perspective {SOURCE}"] = Job("default", source, bench.out / "source", True)
+    runs[f"perspective {SOURCE}"] = RunSpec("default", source, bench.out / "source")
     summaries = dict(zip(runs, bench.run(list(runs.values())), strict=True))
     plot_runs(bench.out, _recorded(runs), f"simulated robot from {start_name(start)}")
     plot_motion(bench.out, _recorded(runs), "motion of the features in the image")
@@ -287,11 +287,11 @@ def _ideal(
     *settings: str,
     camera: str = "perspective",
     duration: float = 20.0,
-) -> Job:
+) -> RunSpec:
     """Return a recorded run of an ideal robot without noise."""
     name = folder_name(law, start_name(start), camera, *settings)
     used = (*_law(law, duration, camera, start), *settings)
-    return Job("default", used, bench.out / name, image_motion=True)
+    return RunSpec("default", used, bench.out / name)
 
 
 def _noisy(
@@ -301,10 +301,10 @@ def _noisy(
     law: str,
     out: Path | None = None,
     camera: str = "perspective",
-) -> Job:
+) -> RunSpec:
     settings = _law(law, duration, camera, start)
     used = (*settings, "mock.noise_px=0.5", f"seed={seed}")
-    return Job("default", used, out, image_motion=out is not None)
+    return RunSpec("default", used, out)
 
 
 def _law(law: str, duration: float, camera: str, start: Start) -> tuple[str, ...]:
@@ -337,11 +337,11 @@ def _median(group: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return named(*np.median(np.abs([list(one.values()) for one in group]), axis=0))
 
 
-def _recorded(runs: Mapping[str, Job]) -> dict[str, Path | None]:
+def _recorded(runs: Mapping[str, RunSpec]) -> dict[str, Path | None]:
     return {case: job.out for case, job in runs.items()}
 
 
-def _both(ours: Mapping[str, Job], source: Mapping[str, Job]) -> dict[str, Path | None]:
+def _both(ours: Mapping[str, RunSpec], source: Mapping[str, RunSpec]) -> dict[str, Path | None]:
     return {
         f"{case}, {law}": job.out
         for law, jobs in ((SMOOTH, ours), (SOURCE, source))

@@ -22,7 +22,7 @@ from visctrl.reproduce.cases import (
 )
 from visctrl.reproduce.chapter3_plots import plot_motion, plot_states, plot_tensors
 from visctrl.reproduce.entry import Bench, Row, at_most
-from visctrl.study.jobs import Job
+from visctrl.study.run_spec import RunSpec
 
 Errors = tuple[float, float, float]
 
@@ -74,7 +74,7 @@ def table_3_1(bench: Bench) -> list[Row]:
 
 def figure_3_3(bench: Bench) -> list[Row]:
     """Paths, states, tensors and inputs of the four starts: outputs follow their references."""
-    jobs = [_simulated(bench, start, motion=True) for start, _, _ in TABLE_3_1]
+    jobs = [_simulated(bench, start) for start, _, _ in TABLE_3_1]
     summaries = bench.run(jobs)
     directories = _recorded(jobs)
     plot_states(bench.out, directories, "1D trifocal tensor control")
@@ -93,9 +93,7 @@ def figure_3_3(bench: Bench) -> list[Row]:
 
 def figure_3_6(bench: Bench) -> list[Row]:
     """One start with each omnidirectional camera: how the features move in the image."""
-    jobs = [
-        _simulated(bench, start, camera=camera, motion=True) for start, camera, _ in OMNIDIRECTIONAL
-    ]
+    jobs = [_simulated(bench, start, camera=camera) for start, camera, _ in OMNIDIRECTIONAL]
     summaries = bench.run(jobs)
     plot_motion(bench.out, _recorded(jobs), "motion of the features in the image")
     plot_states(bench.out, _recorded(jobs), "omnidirectional cameras")
@@ -122,7 +120,9 @@ def earlier_scheme(bench: Bench) -> list[Row]:
     sequence = [_earlier(bench, start, "sequence") for start in starts]
     direct = [_earlier(bench, start, "direct") for start in starts]
     noise = [("mock.noise_px=1", "perception.noise_px=1", f"seed={s}") for s in SEEDS[:8]]
-    theirs = [Job("default", (*_earlier(bench, NOISY_START).settings, *extra)) for extra in noise]
+    theirs = [
+        RunSpec("default", (*_earlier(bench, NOISY_START).settings, *extra)) for extra in noise
+    ]
     ours = [_noisy(seed) for seed in SEEDS[:8]]
     summaries = bench.run([*sequence, *direct, *theirs, *ours])
     plot_states(bench.out, _recorded(sequence), "2D tensor, references that can be followed")
@@ -146,12 +146,7 @@ def earlier_scheme(bench: Bench) -> list[Row]:
 
 def robot_3_14(bench: Bench) -> list[Row]:
     """Repeat the robot experiment on the simulator: P3-AT, rendered images."""
-    job = Job(
-        "default",
-        ("robot=p3at", *start_at(ROBOT_START)),
-        bench.out / "p3at",
-        image_motion=True,
-    )
+    job = RunSpec("default", ("robot=p3at", *start_at(ROBOT_START)), bench.out / "p3at")
     summary = bench.run([job])[0]
     plot_states(bench.out, _recorded([job]), "P3-AT, rendered images")
     plot_tensors(bench.out, _recorded([job]), "normalised tensor elements")
@@ -167,8 +162,7 @@ def _simulated(
     phi_1: str = "estimated",
     law: str = "practical",
     camera: str = "hypercatadioptric",
-    motion: bool = False,
-) -> Job:
+) -> RunSpec:
     """Return a recorded run as the source makes its own: ideal robot, 100 s and 20 s.
 
     phi_1 : ``estimated``, ``zero``, or its value in degrees.
@@ -188,27 +182,29 @@ def _simulated(
     usual = {"hypercatadioptric": "", "estimated": "", "practical": ""}
     special = [usual.get(word, word) for word in (camera, phi_1, law)]
     name = folder_name(start_name(start), *(word for word in special if word))
-    return Job("default", tuple(settings), bench.out / name, image_motion=motion)
+    return RunSpec("default", tuple(settings), bench.out / name)
 
 
-def _noisy(seed: int, out: Path | None = None) -> Job:
+def _noisy(seed: int, out: Path | None = None) -> RunSpec:
     """Return a run with a pixel of noise: step 1 takes 60 s, the whole 75 s."""
     settings = (
         *_ideal(NOISY_START, "hypercatadioptric"),
         *("mock.noise_px=1", "perception.noise_px=1", f"seed={seed}", "duration_s=80"),
         *("controller.tau_s=60", "controller.finish=time", "controller.orientation_s=14"),
     )
-    return Job("default", settings, out, image_motion=out is not None)
+    return RunSpec("default", settings, out)
 
 
-def _earlier(bench: Bench, start: Start, references: str = "sequence") -> Job:
+def _earlier(bench: Bench, start: Start, references: str = "sequence") -> RunSpec:
     """Return a recorded run of the scheme on the 2D tensor, 120 s as ours."""
     settings = [
         setting for setting in _ideal(start, "hypercatadioptric") if "scheme" not in setting
     ]
     settings += ["scheme=trifocal2d", f"controller.references={references}", "duration_s=130"]
     settings += ["controller.tau_s=85", "controller.turn_s=12"]
-    return Job("default", tuple(settings), bench.out / folder_name(start_name(start), references))
+    return RunSpec(
+        "default", tuple(settings), bench.out / folder_name(start_name(start), references)
+    )
 
 
 def _ideal(start: Start, camera: str) -> tuple[str, ...]:
@@ -239,5 +235,5 @@ def _mean_square(directory: Path, signal: str) -> float:
     return float(np.mean(column(directory, f"trifocal-smc.{signal}") ** 2))
 
 
-def _recorded(jobs: list[Job]) -> list[Path]:
+def _recorded(jobs: list[RunSpec]) -> list[Path]:
     return [job.out for job in jobs if job.out is not None]

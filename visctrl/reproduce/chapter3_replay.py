@@ -19,7 +19,7 @@ from visctrl.runtime.recording import open_recording
 from visctrl.runtime.replay import replay
 from visctrl.runtime.replay_plan import load_for_replay, plan_replay
 from visctrl.runtime.run_directory import RunDirectory
-from visctrl.study.jobs import Job
+from visctrl.study.run_spec import RunSpec
 from visctrl.viewers.report.ticks import Ticks, read_ticks
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ def figure_3_10(bench: Bench) -> list[Row]:
     tracked points do. The reference is the tensor of the true poses.
     """
     recording = bench.out / "recording"
-    bench.run([Job("default", ("backend=sim", "record_images=true"), recording)])
+    bench.run([RunSpec("default", ("backend=sim", "record_images=true"), recording)])
     cases = [(pair, k) for pair in _PAIRS for k in (0, 1)]
     errors: dict[str, tuple[Array, Array]] = {}
     for done, (pair, k) in enumerate(cases):

@@ -28,7 +28,7 @@ from visctrl.reproduce.chapter4_runs import (
 )
 from visctrl.reproduce.entry import Bench, Row, at_least, at_most
 from visctrl.study import intervals
-from visctrl.study.jobs import Job
+from visctrl.study.run_spec import RunSpec
 
 #: Table 4.1: start (m, m, deg), magnitudes of the published means (cm, cm, deg).
 TABLE_4_1: tuple[tuple[Start, tuple[float, float, float]], ...] = (
@@ -140,7 +140,7 @@ def figure_4_2(bench: Bench) -> list[Row]:
     ]
 
 
-def exact(start: Start, seed: int) -> Job:
+def exact(start: Start, seed: int) -> RunSpec:
     """Return a run of the source's filter that is told C1."""
     return noisy(start, seed, *_SOURCE, told_start(start))
 
@@ -170,7 +170,7 @@ def nees_row(traces: Sequence[Array]) -> Row:
     return Row("mean NEES of a run: 1 is in its 95 % interval", {}, ours, low <= 1.0 <= high)
 
 
-def _averaged_target(start: Start, seed: int) -> Job:
+def _averaged_target(start: Start, seed: int) -> RunSpec:
     return noisy(start, seed, *_BETTER, "target.frames=10")
 
 

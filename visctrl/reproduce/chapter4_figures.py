@@ -20,7 +20,7 @@ from visctrl.reproduce.chapter4_plots import plot_curves, plot_runs
 from visctrl.reproduce.chapter4_runs import noisy, spread, told_start
 from visctrl.reproduce.entry import Bench, Row, at_most
 from visctrl.robots import load_robot
-from visctrl.study.jobs import Job
+from visctrl.study.run_spec import RunSpec
 
 #: Fig. 4.3: what its curves stay under (cm, cm, deg).
 FIGURE_4_3 = (5.0, 8.0, 0.1)
@@ -125,7 +125,7 @@ def figure_4_4_sim(bench: Bench) -> list[Row]:
     Once with a list of obstacles, then with sonar alone, and once with sonar and no box.
     """
     jobs = [
-        Job(
+        RunSpec(
             "default",
             (
                 *("backend=sim", "scheme=pose", "controller.tau_s=30", "duration_s=150"),
@@ -169,8 +169,8 @@ def robot_4_8(bench: Bench) -> list[Row]:
     where = (f"start.x_m={x}", f"start.y_m={y}", f"start.phi_deg={phi}")
     blind = "sim.faults.camera_black_s=[20, 22]"
     jobs = [
-        Job("default", (*common, *where), bench.out / "seen"),
-        Job("default", (*common, *where, blind), bench.out / "2_s_blind"),
+        RunSpec("default", (*common, *where), bench.out / "seen"),
+        RunSpec("default", (*common, *where, blind), bench.out / "2_s_blind"),
     ]
     summaries = bench.run(jobs)
     plot_runs(bench.out, _directories(jobs), "the robot experiment, simulated")
@@ -181,9 +181,11 @@ def robot_4_8(bench: Bench) -> list[Row]:
     ]
 
 
-def _recorded(bench: Bench, start: Start, name: str, *settings: str, tau_s: float = 120.0) -> Job:
+def _recorded(
+    bench: Bench, start: Start, name: str, *settings: str, tau_s: float = 120.0
+) -> RunSpec:
     job = noisy(start, 9000, "rate_hz=2", _TAKEN_10, *settings, tau_s=tau_s)
-    return Job(job.scenario, job.settings, bench.out / folder_name(start_name(start), name))
+    return RunSpec(job.scenario, job.settings, bench.out / folder_name(start_name(start), name))
 
 
 def _reached(case: str, summary: Summary) -> Row:
@@ -201,5 +203,5 @@ def _gap(directory: Path | None) -> float:
     return 100.0 * (away - radius - robot.body.radius_m)
 
 
-def _directories(jobs: list[Job]) -> list[Path]:
+def _directories(jobs: list[RunSpec]) -> list[Path]:
     return [job.out for job in jobs if job.out is not None]

@@ -15,7 +15,7 @@ from visctrl.runtime.consistency import NAME, chi_square_bounds
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
 from visctrl.schemes.pose.estimate import Need, PoseEstimate
-from visctrl.study.jobs import Job, directory_of, plan_of
+from visctrl.study.run_spec import RunSpec
 
 Array = NDArray[np.float64]
 
@@ -40,9 +40,9 @@ def simulated(start: Start, *settings: str, tau_s: float = 100.0) -> tuple[str, 
     )
 
 
-def noisy(start: Start, seed: int, *settings: str, tau_s: float = 100.0) -> Job:
+def noisy(start: Start, seed: int, *settings: str, tau_s: float = 100.0) -> RunSpec:
     """Return a run with a pixel of noise and a scene of its own."""
-    return Job("default", simulated(start, *_NOISE, f"seed={seed}", *settings, tau_s=tau_s))
+    return RunSpec("default", simulated(start, *_NOISE, f"seed={seed}", *settings, tau_s=tau_s))
 
 
 def told_start(start: Start) -> str:
@@ -83,10 +83,10 @@ class Trace(Observer):
         return np.array(self._rows, dtype=np.float64).reshape(-1, len(COLUMNS))
 
 
-def run_traced(job: Job) -> dict[str, Any]:
-    """Run a job and return its summary with its ``trace``, an array (ticks, `COLUMNS`)."""
+def run_traced(run: RunSpec) -> dict[str, Any]:
+    """Run one and return its summary with its ``trace``, an array (ticks, `COLUMNS`)."""
     trace = Trace()
-    summary = run_session(plan_of(job), directory_of(job), observers=[trace]).summary
+    summary = run_session(run.plan(), run.directory(), observers=[trace]).summary
     return {**summary, "trace": trace.array()}
 
 

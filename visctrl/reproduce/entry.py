@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from visctrl.study.jobs import Job, run_job, run_jobs
+from visctrl.reproduce.recorded_run import drive
+from visctrl.study.batch import run_all
+from visctrl.study.run_spec import RunSpec
 
 
 @dataclass(frozen=True)
@@ -47,18 +49,18 @@ class Bench:
     announce: Callable[[int, int], None] = field(default=lambda total, done: None)
 
     def run(
-        self, jobs: Sequence[Job], work: Callable[[Job], dict[str, Any]] = run_job
+        self, runs: Sequence[RunSpec], work: Callable[[RunSpec], dict[str, Any]] = drive
     ) -> list[dict[str, Any]]:
-        """Run jobs and return their summaries in order, announcing each."""
+        """Work on runs and return what comes of them in order, announcing each."""
         done = 0
-        self.announce(len(jobs), 0)
+        self.announce(len(runs), 0)
 
         def count(_index: int, _summary: dict[str, Any]) -> None:
             nonlocal done
             done += 1
-            self.announce(len(jobs), done)
+            self.announce(len(runs), done)
 
-        return run_jobs(jobs, self.workers, count, work)
+        return run_all(runs, self.workers, count, work)
 
 
 def at_most(case: str, published: Mapping[str, float], ours: Mapping[str, float]) -> Row:

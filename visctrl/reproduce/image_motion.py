@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from visctrl.contracts import Array, Match
 from visctrl.hal.types import Frame
 from visctrl.runtime.records import Observer, TickRecord
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 FILE = "features.npz"
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from visctrl.reproduce.entry import Bench, Row, at_most
-from visctrl.study.jobs import Job
+from visctrl.study.run_spec import RunSpec
 
 SCENARIO = "default"
 SEED = 48
@@ -84,10 +84,10 @@ def cameras(bench: Bench) -> list[Row]:
     ]
 
 
-def _job(start: Start, seed: int, *settings: str) -> Job:
+def _job(start: Start, seed: int, *settings: str) -> RunSpec:
     x, y, phi = start
     where = (f"start.x_m={x}", f"start.y_m={y}", f"start.phi_deg={phi}", f"seed={seed}")
-    return Job(SCENARIO, (*where, *settings))
+    return RunSpec(SCENARIO, (*where, *settings))
 
 
 def _error(summary: Summary) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from visctrl.reproduce.cases import Summary, column, distances, folder_name, start_at
 from visctrl.reproduce.entry import Bench, Row, at_most
 from visctrl.reproduce.main_job import seeded_starts
-from visctrl.study.jobs import Job
+from visctrl.study.run_spec import RunSpec
 
 _REAL = ("mock.noise_px=0.3", "mock.actuation.delay_s=0.1")
 #: What each condition lays over an exact robot with an exact camera.
@@ -48,14 +48,14 @@ def smooth_law(bench: Bench) -> list[Row]:
     return rows
 
 
-def _job(bench: Bench, law: str, condition: str, number: int) -> Job:
+def _job(bench: Bench, law: str, condition: str, number: int) -> RunSpec:
     settings = (
         *("backend=mock", f"controller.name={law}", _LAWS[law], f"seed={number}"),
         *("mock.near_m=1.5", "mock.far_m=5"),
         *start_at(_STARTS[number]),
         *CONDITIONS[condition],
     )
-    return Job("default", settings, bench.out / folder_name(law, condition, str(number)))
+    return RunSpec("default", settings, bench.out / folder_name(law, condition, str(number)))
 
 
 def _numbers(summary: Summary, directory: Path | None) -> list[float]:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -22,7 +23,6 @@ from pydantic import ConfigDict, Field
 from visctrl.hal.types import Pose
 from visctrl.robots.documents import StrictModel, read_yaml, suggestion, validate
 from visctrl.robots.errors import InputError
-from visctrl.runtime.safety import SafetyOptions
 
 DEFAULT_SCENARIO = "default"
 
@@ -124,6 +124,27 @@ class Approach(StrictModel):
     settle_s: Positive = 2.0
 
 
+class SafetyOptions(StrictModel):
+    """Bounds that hold for every run.
+
+    v_m_s, omega_deg_s, acceleration_m_s2, angular_acceleration_deg_s2 : in place of the robot's
+        operating limits; never above its hardware's.
+    max_frame_age_s : an older frame is no view of the present.
+    frozen_timeout_s : a camera that delivers nothing newer for this long has failed.
+    lost_timeout_s : the robot waits this long at a standstill for lost features to come back.
+    max_command_age_s : a command is withdrawn when no newer one follows for this long.
+    """
+
+    v_m_s: Positive | None = None
+    omega_deg_s: Positive | None = None
+    acceleration_m_s2: Positive | None = None
+    angular_acceleration_deg_s2: Positive | None = None
+    max_frame_age_s: Positive = 0.5
+    frozen_timeout_s: Positive = 3.0
+    lost_timeout_s: Positive = 5.0
+    max_command_age_s: Positive = 0.5
+
+
 class Tolerance(StrictModel):
     """How close to the target counts as reached, where the truth is known."""
 
@@ -194,6 +215,15 @@ class LoadedScenario:
             elif override.path[: len(path)] == path:
                 origins.append(override.origin)
         return ", ".join(origins)
+
+    @contextmanager
+    def looking_up(self, *path: str) -> Iterator[None]:
+        """Have an `InputError` inside told with the file or option and the key at ``path``."""
+        try:
+            yield
+        except InputError as error:
+            key = ".".join(path)
+            raise InputError(f"{self.origin_of(*path)}: key '{key}': {error}") from error
 
 
 @cache

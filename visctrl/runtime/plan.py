@@ -25,13 +25,10 @@ from visctrl.runtime.registry import (
     options_type,
 )
 from visctrl.runtime.safety import effective_limits
-from visctrl.runtime.schemes import (
-    APPROACH_CONTROLLER,
-    APPROACH_ESTIMATOR,
-    Scheme,
-    scheme_named,
-)
+from visctrl.runtime.schemes import scheme_named
 from visctrl.runtime.target_view import TargetView, load_target
+from visctrl.schemes import approach
+from visctrl.schemes.scheme import Scheme
 
 T = TypeVar("T")
 
@@ -152,22 +149,28 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         Anything that cannot be run; the message names the file or option and the key.
     """
     scenario = loaded.scenario
+    with loaded.looking_up("backend"):
+        backend = registries.backends.load(scenario.backend)
     backend_options = _all_backend_options(loaded, registries)
-    backend = _at(loaded, ("backend",), lambda: registries.backends.load(scenario.backend))
-    robot = _at(loaded, ("robot",), lambda: load_robot(scenario.robot))
-    scheme = _at(loaded, ("scheme",), lambda: scheme_named(scenario.scheme))
-    mount_name = scenario.camera.mount or scheme.mount
-    mount = _at(loaded, ("camera", "mount"), lambda: robot.mount(mount_name))
-    camera = _at(loaded, ("camera",), lambda: chosen_camera(scenario.camera))
-    true_camera = _at(loaded, ("camera_error",), lambda: _true(camera, scenario.camera_error))
+    with loaded.looking_up("robot"):
+        robot = load_robot(scenario.robot)
+    with loaded.looking_up("scheme"):
+        scheme = scheme_named(scenario.scheme)
+    with loaded.looking_up("camera", "mount"):
+        mount = robot.mount(scenario.camera.mount or scheme.mount)
+    with loaded.looking_up("camera"):
+        camera = chosen_camera(scenario.camera)
+    with loaded.looking_up("camera_error"):
+        true_camera = _true(camera, scenario.camera_error)
     limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
-    target = _at(loaded, ("target", "file"), lambda: _target(scenario.target.file, camera))
+    with loaded.looking_up("target", "file"):
+        target = _target(scenario.target.file, camera)
     if scenario.record_images and backend.delivers_features:
         raise InputError(
             f"{loaded.origin_of('record_images')}: key 'record_images': backend "
             f"'{scenario.backend}' takes no pictures"
         )
-    perception, approach, main = _plugins(loaded, registries, scheme, backend)
+    perception, turn, main = _plugins(loaded, registries, scheme, backend)
     main = replace(main, obstacles=_providers(loaded, registries, main))
     if not backend.measures_ranges(robot, backend_options):
         _refuse_listeners(loaded, main)
@@ -182,7 +185,7 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         limits=backend.kept_limits(limits, backend_options),
         target=target,
         perception=perception,
-        approach=approach,
+        approach=turn,
         main=main,
     )
 
@@ -203,17 +206,17 @@ def _plugins(
         (scheme.estimator, scheme.controller),
         (),
     )
-    approach = None
+    turn = None
     if scheme.approach and scenario.approach.enabled:
-        approach = _stage(
+        turn = _stage(
             loaded,
             registries,
             scenario.approach.estimator,
             scenario.approach.controller,
-            (APPROACH_ESTIMATOR, APPROACH_CONTROLLER),
+            (approach.ESTIMATOR, approach.CONTROLLER),
             ("approach",),
         )
-    return perception, approach, main
+    return perception, turn, main
 
 
 def _stage(
@@ -298,19 +301,12 @@ def choose(
     InputError
         No such plugin, or wrong options; the message names the file or option and the key.
     """
-    name = choice.name
-    if name is not None:
-        cls = _at(loaded, (*path, "name"), lambda: registry.load(name))
-    elif default in registry.names():
-        cls = registry.load(default)
-    else:
-        raise InputError(
-            f"scheme '{loaded.scenario.scheme}' is not available yet: it needs {registry.kind} "
-            f"'{default}'"
-        )
+    name = choice.name or default
+    with loaded.looking_up(*path, "name"):
+        cls = registry.load(name)
     origin = f"{loaded.origin_of(*path)}: {'.'.join(path)}"
     options = validate(choice.options, options_type(cls, registry.kind, StrictModel), origin)
-    return Chosen(registry.kind, name or default, cls, options)
+    return Chosen(registry.kind, name, cls, options)
 
 
 def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> BackendOptions:
@@ -322,8 +318,7 @@ def _all_backend_options(loaded: LoadedScenario, registries: Registries) -> Back
         checked[name] = validate(section, options, f"{loaded.origin_of(name)}: {name}")
     if scenario.backend in checked:
         return checked[scenario.backend]
-    options = _at(loaded, ("backend",), lambda: registries.backend_options(scenario.backend))
-    return options()
+    return registries.backend_options(scenario.backend)()
 
 
 def chosen_camera(choice: CameraChoice) -> CentralCamera:
@@ -367,12 +362,3 @@ def _true(camera: CentralCamera, error: CameraError) -> CentralCamera:
     if error.xi != 0.0:
         changes["xi"] = known.get("xi", 0.0) + error.xi
     return parse_camera({**known, **changes}, "the true camera")
-
-
-def _at(loaded: LoadedScenario, path: tuple[str, ...], look_up: Callable[[], T]) -> T:
-    """Call ``look_up``; its error is told with the file or option and the key."""
-    try:
-        return look_up()
-    except InputError as error:
-        key = ".".join(path)
-        raise InputError(f"{loaded.origin_of(*path)}: key '{key}': {error}") from error

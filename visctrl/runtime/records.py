@@ -88,8 +88,29 @@ class Observer:
     def on_initial(self, frame: Frame, match: Match) -> None:
         """Get an initial view once it is matched."""
 
+    def on_begin(self, *, lockstep: bool) -> None:
+        """Hear that the first tick comes next.
+
+        Parameters
+        ----------
+        lockstep : bool
+            Time stands still during a tick: the run may be kept waiting.
+
+        Raises
+        ------
+        InputError
+            What was asked of this observer cannot be done; the run does not begin.
+        """
+
     def on_stage(self, stage: str) -> None:
         """Hear that a stage begins."""
 
     def on_tick(self, record: TickRecord) -> None:
         """Get a tick whose command is sent."""
+
+    def on_end(self) -> Sequence[str]:
+        """Hear that the run's files are written; return what the user should know besides."""
+        return ()
+
+    def close(self) -> None:
+        """Let go of everything: the run has ended, or it never began. May be called twice."""

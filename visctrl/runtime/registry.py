@@ -1,8 +1,8 @@
 """Names to classes, imported when they are used and not before.
 
-A name comes from the tables below or from an entry point of an installed package, in the group
-``visctrl.perception``, ``visctrl.estimators``, ``visctrl.controllers``, ``visctrl.obstacles`` or
-``visctrl.backends``.
+A name comes from a table, which the package of the class declares in its ``__init__.py``, or from
+an entry point of an installed package, in the group ``visctrl.perception``, ``visctrl.estimators``,
+``visctrl.controllers``, ``visctrl.obstacles`` or ``visctrl.backends``.
 ``module:Class`` names a class directly; the module may also lie in the current folder.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import importlib.util
 import inspect
 import os
 import sys
@@ -20,10 +19,13 @@ from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar, cast
 
+import visctrl.perception
+import visctrl.planning.providers
 from visctrl.contracts import Controller, Estimate, Estimator, ObstacleProvider, Perception
 from visctrl.hal.interfaces import Backend, BackendOptions
 from visctrl.robots.documents import StrictModel, suggestion
 from visctrl.robots.errors import InputError
+from visctrl.runtime.schemes import declared, plugins_of_schemes
 
 T = TypeVar("T")
 Options = TypeVar("Options", bound=StrictModel)
@@ -52,11 +54,6 @@ class Registry(Generic[T]):
 
     def names(self) -> list[str]:
         """Return the names that can be used here, sorted."""
-        present = {name for name, target in self.builtin.items() if _module_exists(target)}
-        return sorted(present | self._extensions.keys())
-
-    def known(self) -> list[str]:
-        """Return every name, those included that are planned and not there yet."""
         return sorted(self.builtin.keys() | self._extensions.keys())
 
     def target(self, name: str) -> str:
@@ -65,18 +62,15 @@ class Registry(Generic[T]):
         Raises
         ------
         InputError
-            Unknown, or planned and not there yet; the message lists the known names.
+            Unknown; the message lists the known names.
         """
         if ":" in name:
             return name
-        if name in self.builtin and _module_exists(self.builtin[name]):
+        if name in self.builtin:
             return self.builtin[name]
         if name in self._extensions:
             return self._extensions[name].value
-        known = suggestion(name, self.names())
-        if name in self.builtin:
-            raise InputError(f"{self.kind} '{name}' is not available yet; {known}")
-        raise InputError(f"unknown {self.kind} '{name}'; {known}")
+        raise InputError(f"unknown {self.kind} '{name}'; {suggestion(name, self.names())}")
 
     def load(self, name: str) -> type[T]:
         """Import a class by name and check that it keeps its contract.
@@ -133,49 +127,24 @@ def estimate_type(estimator: type[Estimator[Any, Any]]) -> type[Estimate] | None
 
 @dataclass(frozen=True)
 class Registries:
-    """All registries."""
+    """All registries. What is built in is declared by the packages that hold it."""
 
     perception: Registry[Perception[Any]] = field(
         default_factory=lambda: Registry(
             "perception",
             "visctrl.perception",
             Perception,
-            {
-                "klt": "visctrl.perception.klt:Klt",
-                "sift": "visctrl.perception.sift:Sift",
-                "features": "visctrl.perception.features:IdentifiedFeatures",
-            },
+            dict(declared(visctrl.perception, "PERCEPTION")),
         )
     )
     estimators: Registry[Estimator[Any, Any]] = field(
         default_factory=lambda: Registry(
-            "estimator",
-            "visctrl.estimators",
-            Estimator,
-            {
-                "tensor": "visctrl.schemes.trifocal.estimator:Tensor",
-                "tensor2d": "visctrl.schemes.trifocal2d.estimator:Tensor2d",
-                "planar-motion": "visctrl.schemes.approach.estimator:PlanarMotionEstimator",
-                "epipoles": "visctrl.schemes.epipolar.estimator:Epipoles",
-                "transfer": "visctrl.schemes.pose.estimator:PoseTransfer",
-                "ekf": "visctrl.schemes.pose.estimator_ekf:PoseEkf",
-            },
+            "estimator", "visctrl.estimators", Estimator, plugins_of_schemes("ESTIMATORS")
         )
     )
     controllers: Registry[Controller[Any, Any]] = field(
         default_factory=lambda: Registry(
-            "controller",
-            "visctrl.controllers",
-            Controller,
-            {
-                "trifocal-smc": "visctrl.schemes.trifocal.law_smc:TrifocalSmc",
-                "trifocal-smooth": "visctrl.schemes.trifocal.law_smooth:TrifocalSmooth",
-                "trifocal2d": "visctrl.schemes.trifocal2d.law:Trifocal2d",
-                "face-target": "visctrl.schemes.approach.law:FaceTarget",
-                "epipolar-smc": "visctrl.schemes.epipolar.law_smc:EpipolarSmc",
-                "epipolar-smooth": "visctrl.schemes.epipolar.law_smooth:EpipolarSmooth",
-                "pose-tracking": "visctrl.schemes.pose.law:PoseTracking",
-            },
+            "controller", "visctrl.controllers", Controller, plugins_of_schemes("CONTROLLERS")
         )
     )
     obstacles: Registry[ObstacleProvider[Any, Any]] = field(
@@ -183,10 +152,7 @@ class Registries:
             "obstacle provider",
             "visctrl.obstacles",
             ObstacleProvider,
-            {
-                "listed": "visctrl.planning.providers.listed:Listed",
-                "sonar": "visctrl.planning.providers.sonar:Sonar",
-            },
+            dict(declared(visctrl.planning.providers, "OBSTACLES")),
         )
     )
     backends: Registry[Backend] = field(
@@ -205,7 +171,7 @@ class Registries:
     def backend_options(self, name: str) -> type[BackendOptions]:
         """Return the options of a backend, without importing what only a run needs."""
         target = _BACKEND_OPTIONS.get(name)
-        if target is None or not _module_exists(target):
+        if target is None:
             return options_type(self.backends.load(name), f"backend '{name}'", BackendOptions)
         module_name, _, attribute = target.partition(":")
         found: type[BackendOptions] = getattr(importlib.import_module(module_name), attribute)
@@ -237,10 +203,3 @@ def _import_module(name: str) -> object:
     finally:
         with contextlib.suppress(OSError):
             os.chdir(here)
-
-
-def _module_exists(target: str) -> bool:
-    try:
-        return importlib.util.find_spec(target.partition(":")[0]) is not None
-    except ModuleNotFoundError:
-        return False

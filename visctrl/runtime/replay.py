@@ -27,7 +27,6 @@ from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.scheduler import Tick
 from visctrl.runtime.summary import versions
 from visctrl.threads import one_thread_of_algebra
-from visctrl.viewers.run_pictures import Pictures
 
 T = TypeVar("T")
 
@@ -37,7 +36,6 @@ def replay(
     plan: ReplayPlan,
     out: Path | RunDirectory | None,
     *,
-    video: bool = False,
     observers: Sequence[Observer] = (),
 ) -> dict[str, Any]:
     """Run the plugins over the images; return a summary.
@@ -58,7 +56,7 @@ def replay(
     directory = RunDirectory(out) if isinstance(out, Path) else out
     shared = directory is not None and directory.shared
     with one_thread_of_algebra(), owner_only(unless=shared):
-        return _Replay(recording, plan, directory, video, observers).run()
+        return _Replay(recording, plan, directory, observers).run()
 
 
 class _Times(Watch):
@@ -96,16 +94,15 @@ class _Replay:
         recording: Recording,
         plan: ReplayPlan,
         directory: RunDirectory | None,
-        video: bool,
         observers: Sequence[Observer],
     ) -> None:
-        self._recording, self._plan, self._video = recording, plan, video
+        self._recording, self._plan = recording, plan
         self._directory = directory
         self._meter = Meter()
-        self._observers: list[Observer] = [self._meter, *observers]
+        self._watchers = tuple(observers)
+        self._observers: list[Observer] = [self._meter, *self._watchers]
         self._plugins: list[Plugin[Any]] = []
         self._recorder: Recorder | None = None
-        self._pictures: Pictures | None = None
         self._health = {"views": Counter[str](), "estimate": Counter[str]()}
         self._last: Driven | None = None
         self._pipeline: Pipeline | None = None
@@ -114,21 +111,25 @@ class _Replay:
     def run(self) -> dict[str, Any]:
         directory = self._directory
         if directory is None:
-            return self._replayed()
+            summary = self._replayed()
+            self._dismiss()
+            return summary
         try:
             with writing(directory.path):
                 summary = self._replayed()
                 directory.release_reserve()
                 directory.write_summary(summary)
-                if self._pictures is not None:
-                    self._pictures.finish()
-                    self._pictures.report()
+                self._dismiss()
         except InputError:
             directory.discard()
             raise
         finally:
             directory.close()
         return summary
+
+    def _dismiss(self) -> None:
+        for watcher in self._watchers:
+            watcher.on_end()
 
     def _replayed(self) -> dict[str, Any]:
         """Replay everything; return the summary."""
@@ -153,13 +154,11 @@ class _Replay:
                 self._tick(frame, shot, shot.driven)
 
     def _start_recording(self) -> None:
+        for watcher in self._watchers:
+            watcher.on_begin(lockstep=True)
         if self._directory is None:
             return
         self._directory.write_text(CONFIG, to_yaml(self._plan.effective()))
-        self._pictures = Pictures(self._plan, self._directory)
-        self._observers.append(self._pictures)
-        if self._video:
-            self._pictures.start_video(lockstep=True)
         named: list[tuple[str, Plugin[Any]]] = [(self._plan.perception.name, self._perception)]
         for stage in self._stages.values():
             named.append((stage.estimator_name, stage.estimator))
@@ -274,6 +273,8 @@ class _Replay:
         return plugin
 
     def _close(self) -> None:
+        for watcher in self._watchers:
+            watcher.close()
         while self._plugins:
             self._plugins.pop().close()
         if self._recorder is not None:

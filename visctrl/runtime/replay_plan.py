@@ -16,7 +16,8 @@ from visctrl.runtime.plan import Chosen, choose, chosen_camera, misfit
 from visctrl.runtime.recording import Recording
 from visctrl.runtime.registry import REGISTRIES, Registries
 from visctrl.runtime.safety import effective_limits
-from visctrl.runtime.schemes import APPROACH_CONTROLLER, APPROACH_ESTIMATOR, scheme_named
+from visctrl.runtime.schemes import scheme_named
+from visctrl.schemes import approach
 
 #: Sections whose options belong to the plugin that they name.
 _SECTIONS = (
@@ -67,7 +68,7 @@ def load_for_replay(recording: Recording, overrides: Sequence[Override]) -> Load
     InputError
         See `load_scenario`.
     """
-    backends = REGISTRIES.backends.known()
+    backends = REGISTRIES.backends.names()
     first: list[Override] = []
     if recording.camera is not None:
         origin = str(recording.camera)
@@ -116,7 +117,7 @@ def plan_replay(
     kinds = registries.estimators
     main = choose(loaded, kinds, scenario.estimator, scheme.estimator, ("estimator",))
     path = ("approach", "estimator")
-    turn = choose(loaded, kinds, scenario.approach.estimator, APPROACH_ESTIMATOR, path)
+    turn = choose(loaded, kinds, scenario.approach.estimator, approach.ESTIMATOR, path)
     perception = choose(
         loaded, registries.perception, scenario.perception, scheme.perception, ("perception",)
     )
@@ -125,7 +126,7 @@ def plan_replay(
         steer = registries.controllers
         law = choose(loaded, steer, scenario.controller, scheme.controller, ("controller",))
         path = ("approach", "controller")
-        faces = choose(loaded, steer, scenario.approach.controller, APPROACH_CONTROLLER, path)
+        faces = choose(loaded, steer, scenario.approach.controller, approach.CONTROLLER, path)
         if named and (problem := misfit(main, law)):
             raise InputError(f"{loaded.origin_of('controller', 'name')}: {problem}")
         laws["main"] = None if misfit(main, law) else law

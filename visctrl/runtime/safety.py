@@ -2,40 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from pydantic import Field
-
 from visctrl.contracts import Health
 from visctrl.hal.actuation import Limiter
 from visctrl.hal.errors import StaleFrameError
 from visctrl.hal.types import STANDSTILL, Frame, Velocity
 from visctrl.robots import Limits, Robot
-from visctrl.robots.documents import StrictModel
 from visctrl.robots.errors import InputError, VisctrlError
-
-Positive = Annotated[float, Field(gt=0.0)]
-
-
-class SafetyOptions(StrictModel):
-    """Bounds that hold for every run.
-
-    v_m_s, omega_deg_s, acceleration_m_s2, angular_acceleration_deg_s2 : in place of the robot's
-        operating limits; never above its hardware's.
-    max_frame_age_s : an older frame is no view of the present.
-    frozen_timeout_s : a camera that delivers nothing newer for this long has failed.
-    lost_timeout_s : the robot waits this long at a standstill for lost features to come back.
-    max_command_age_s : a command is withdrawn when no newer one follows for this long.
-    """
-
-    v_m_s: Positive | None = None
-    omega_deg_s: Positive | None = None
-    acceleration_m_s2: Positive | None = None
-    angular_acceleration_deg_s2: Positive | None = None
-    max_frame_age_s: Positive = 0.5
-    frozen_timeout_s: Positive = 3.0
-    lost_timeout_s: Positive = 5.0
-    max_command_age_s: Positive = 0.5
+from visctrl.runtime.config import SafetyOptions
 
 
 class LostError(VisctrlError):

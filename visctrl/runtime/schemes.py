@@ -1,53 +1,27 @@
-"""Schemes: which perception, estimator and controller make up a way of driving to the target."""
+"""Schemes and their plugins, as the folders of ``visctrl/schemes`` declare them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import pkgutil
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
+from types import ModuleType
 
+import visctrl.schemes
 from visctrl.robots.documents import suggestion
 from visctrl.robots.errors import InputError
-from visctrl.runtime.registry import Registries
+from visctrl.schemes.scheme import Scheme
 
 
-@dataclass(frozen=True)
-class Scheme:
-    """A preset of plugins by name.
-
-    perception : for cameras that deliver images.
-    identified : for backends that deliver identified features (the mock).
-    mount : where the camera sits if the scenario does not say.
-    approach : whether the robot first turns to the target when it does not head there.
-    """
-
-    title: str
-    estimator: str
-    controller: str
-    perception: str = "klt"
-    identified: str = "features"
-    mount: str = "centre"
-    approach: bool = True
-
-
-SCHEMES = {
-    "epipolar": Scheme(
-        "epipolar control from three views", "epipoles", "epipolar-smooth", approach=False
-    ),
-    "trifocal": Scheme("1D trifocal tensor control", "tensor", "trifocal-smc"),
-    "trifocal2d": Scheme(
-        "2D trifocal tensor and pseudo-inverse control", "tensor2d", "trifocal2d", approach=False
-    ),
-    "pose": Scheme(
-        "pose estimation and Cartesian control",
-        "transfer",
-        "pose-tracking",
-        mount="front",
-        approach=False,
-    ),
-}
-
-#: Turning towards the target before the main stage.
-APPROACH_ESTIMATOR = "planar-motion"
-APPROACH_CONTROLLER = "face-target"
+@cache
+def schemes() -> dict[str, Scheme]:
+    """Return every scheme by name, which is its folder's."""
+    return {
+        folder.__name__.rpartition(".")[2]: folder.SCHEME
+        for folder in _folders()
+        if hasattr(folder, "SCHEME")
+    }
 
 
 def scheme_named(name: str) -> Scheme:
@@ -58,18 +32,29 @@ def scheme_named(name: str) -> Scheme:
     InputError
         No such scheme; the message lists those there are.
     """
-    if name not in SCHEMES:
-        raise InputError(f"unknown scheme '{name}'; {suggestion(name, SCHEMES)}")
-    return SCHEMES[name]
+    if name not in schemes():
+        raise InputError(f"unknown scheme '{name}'; {suggestion(name, schemes())}")
+    return schemes()[name]
 
 
-def missing_plugins(scheme: Scheme, registries: Registries) -> list[str]:
-    """Return what a scheme still lacks here, as ``controller 'name'`` and the like."""
-    wanted = (
-        (registries.perception, scheme.perception),
-        (registries.estimators, scheme.estimator),
-        (registries.controllers, scheme.controller),
-    )
-    return [
-        f"{registry.kind} '{name}'" for registry, name in wanted if name not in registry.names()
-    ]
+def plugins_of_schemes(kind: str) -> dict[str, str]:
+    """Return name to ``module:Class`` of the schemes' plugins.
+
+    Parameters
+    ----------
+    kind : str
+        The table that a folder declares: ``ESTIMATORS`` or ``CONTROLLERS``.
+    """
+    return {name: target for folder in _folders() for name, target in declared(folder, kind)}
+
+
+def declared(package: ModuleType, kind: str) -> Iterator[tuple[str, str]]:
+    """Yield (name, ``module:Class``) of what a package declares in its table ``kind``."""
+    for name, target in getattr(package, kind, {}).items():
+        yield name, f"{package.__name__}.{target}"
+
+
+def _folders() -> Iterator[ModuleType]:
+    for module in pkgutil.iter_modules(visctrl.schemes.__path__):
+        if module.ispkg:
+            yield import_module(f"visctrl.schemes.{module.name}")

@@ -34,7 +34,6 @@ from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
 from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, judge, summarise
 from visctrl.threads import one_thread_of_algebra
-from visctrl.viewers.run_pictures import Pictures
 
 T = TypeVar("T")
 
@@ -64,8 +63,6 @@ def run_session(
     plan: Plan,
     out: Path | RunDirectory | None = None,
     *,
-    video: bool = False,
-    mcap: bool = False,
     observers: Sequence[Observer] = (),
     stop: StopRequest | None = None,
 ) -> Outcome:
@@ -78,12 +75,9 @@ def run_session(
     out : Path, RunDirectory or None
         Where its files go: a directory that is not there yet or is empty, or one that is already
         claimed; None writes nothing.
-    video : bool
-        Also write an MP4 of the camera's images and the robot from above.
-    mcap : bool
-        Also write a file for the Foxglove app.
     observers : sequence of Observer
-        Told about everything that happens.
+        Told about everything that happens; pictures and pages are made by such
+        (`visctrl.viewers`).
     stop : StopRequest or None
         Ends the run when it is made, from any thread.
 
@@ -96,7 +90,7 @@ def run_session(
     directory = RunDirectory(out) if isinstance(out, Path) else out
     shared = directory is not None and directory.shared
     with one_thread_of_algebra(), owner_only(unless=shared):
-        return _Session(plan, directory, (video, mcap), observers, stop or StopRequest()).run()
+        return _Session(plan, directory, observers, stop or StopRequest()).run()
 
 
 class _Session:
@@ -104,7 +98,6 @@ class _Session:
         self,
         plan: Plan,
         directory: RunDirectory | None,
-        extras: tuple[bool, bool],
         observers: Sequence[Observer],
         stop: StopRequest,
     ) -> None:
@@ -112,17 +105,13 @@ class _Session:
         self._stop_request = stop
         self._directory = directory
         self._meter = Meter()
-        self._video, self._mcap = extras
-        self._observers: list[Observer] = [self._meter, *observers]
+        self._watchers = tuple(observers)
+        self._observers: list[Observer] = [self._meter, *self._watchers]
         self._recorder: Recorder | None = None
-        self._pictures: Pictures | None = None
         self._images: ImageRecorder | None = None
-        if self._directory is not None:
-            self._pictures = Pictures(plan, self._directory)
-            self._observers.append(self._pictures)
-            if plan.scenario.record_images:
-                self._images = ImageRecorder(self._directory.path, plan.camera)
-                self._observers.append(self._images)
+        if self._directory is not None and plan.scenario.record_images:
+            self._images = ImageRecorder(self._directory.path, plan.camera)
+            self._observers.append(self._images)
         self._interrupts = Interrupts()
         self._tally = Tally()
         self._plugins: list[Plugin[Any]] = []
@@ -142,8 +131,8 @@ class _Session:
                     self._recorder.close()
                 if self._images is not None:
                     self._images.close()
-                if self._pictures is not None:
-                    self._pictures.close()
+                for watcher in self._watchers:
+                    watcher.close()
                 if self._directory is not None:
                     self._directory.discard()
                 raise
@@ -244,12 +233,10 @@ class _Session:
     def _start_recording(
         self, stages: Sequence[Stage], perception: Perception[Any], lockstep: bool
     ) -> None:
-        if self._directory is None or self._pictures is None:
+        for watcher in self._watchers:
+            watcher.on_begin(lockstep=lockstep)
+        if self._directory is None:
             return
-        if self._video:
-            self._pictures.start_video(lockstep=lockstep)
-        if self._mcap:
-            self._pictures.start_mcap(lockstep=lockstep)
         named: list[tuple[str, Reporting]] = [(self._plan.perception.name, perception)]
         for stage in stages:
             named.append((stage.estimator_name, stage.estimator))
@@ -339,6 +326,10 @@ class _Session:
         if self._directory is not None:
             self._directory.release_reserve()
             self._write(self._directory, end, summary)
+        for watcher in self._watchers:
+            name = type(watcher).__name__
+            self._attempt(f"{name} could not finish", partial(self._dismiss, watcher))
+        if self._directory is not None:
             self._attempt("an earlier run could not be removed", self._directory.close)
         if self._tally.missed:
             blame = ", ".join(f"{name} {n}" for name, n in self._tally.blame.most_common())
@@ -356,13 +347,10 @@ class _Session:
         self._attempt(files, lambda: directory.write_summary(summary))
         if end.details:
             self._attempt(files, lambda: directory.write_text(FAULT, end.details))
-        self._attempt("pictures could not be drawn", self._draw)
-        if self._recorder is not None and self._pictures is not None:
-            self._attempt("the report could not be written", self._pictures.report)
 
-    def _draw(self) -> None:
-        if self._pictures is not None:
-            self._notes += self._pictures.finish()
+    def _dismiss(self, watcher: Observer) -> None:
+        self._notes += watcher.on_end()
+        watcher.close()
 
 
 def _ended_by(error: BaseException) -> End:

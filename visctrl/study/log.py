@@ -12,9 +12,9 @@ from typing import Any, Self
 from visctrl.robots.errors import InputError
 from visctrl.robots.files import absolute, lock, unwritable
 from visctrl.runtime.summary import versions
+from visctrl.study.run_spec import RunSpec
 from visctrl.study.summary import SUMMARY
 from visctrl.study.table import PARQUET, TABLE, Row, is_row
-from visctrl.study.trials import Trial
 
 LOG = "runs.jsonl"
 
@@ -69,24 +69,24 @@ class StudyLog:
         if self._file is not None:
             self._file.close()
 
-    def check(self, trials: Iterable[Trial]) -> None:
+    def check(self, runs: Iterable[RunSpec]) -> None:
         """Refuse a folder whose runs all belong to another study.
 
         Raises
         ------
         InputError
-            None of its runs is one of ``trials``.
+            None of its runs is one of ``runs``.
         """
-        if self.rows and not any(trial.key in self.rows for trial in trials):
+        if self.rows and not any(run.key in self.rows for run in runs):
             raise self._refusal(
                 "it holds the runs of another study, or of this one before it was changed; "
                 f"choose another folder, or delete {self.path}"
             )
 
-    def add(self, trial: Trial, row: Row) -> None:
+    def add(self, run: RunSpec, row: Row) -> None:
         """Keep a finished run."""
-        self.rows[trial.key] = row
-        self._append({"key": trial.key, "row": row})
+        self.rows[run.key] = row
+        self._append({"key": run.key, "row": row})
 
     def _refuse_strangers(self) -> None:
         """Refuse a folder whose files would be taken for a study's and replaced."""

@@ -39,7 +39,7 @@ PRELOADED = (
     "visctrl.schemes.epipolar.estimator",
     "visctrl.schemes.approach.estimator",
     "visctrl.schemes.trifocal.estimator",
-    "visctrl.study.jobs",
+    "visctrl.study.batch",
     "visctrl.study.runner",
     "visctrl.perception.features",
 )

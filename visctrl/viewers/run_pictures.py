@@ -3,18 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from visctrl.contracts import Match
 from visctrl.hal.types import Frame
+from visctrl.runtime.plan import Plan
 from visctrl.runtime.recorder import FINAL, INITIAL, MCAP, TARGET, VIDEO
 from visctrl.runtime.records import Observer, Setup, TickRecord
 from visctrl.runtime.run_directory import RunDirectory
+from visctrl.runtime.session import Outcome, run_session
+from visctrl.runtime.stop import StopRequest
 from visctrl.viewers.track_history import TrackHistory
 
 if TYPE_CHECKING:
     from visctrl.viewers.foxglove.stream import ViewerStream
     from visctrl.viewers.video.writer import VideoWriter
+
+
+def run_with_pictures(
+    plan: Plan,
+    out: Path | RunDirectory,
+    *,
+    video: bool = False,
+    mcap: bool = False,
+    observers: Sequence[Observer] = (),
+    stop: StopRequest | None = None,
+) -> Outcome:
+    """Run a plan to its end with everything that can be looked at afterwards (see `run_session`).
+
+    Parameters
+    ----------
+    plan, out, observers, stop
+        See `run_session`.
+    video, mcap : bool
+        See `Pictures`.
+    """
+    directory = RunDirectory(out) if isinstance(out, Path) else out
+    pictures = Pictures(plan, directory.path, video=video, mcap=mcap)
+    return run_session(plan, directory, observers=[*observers, pictures], stop=stop)
 
 
 class Pictures(Observer):
@@ -26,31 +53,39 @@ class Pictures(Observer):
     ----------
     setup : Setup
         Of the run.
-    directory : RunDirectory
-        Where the pictures go.
+    path : Path
+        Run directory, where the pictures go.
+    video : bool
+        Also write an MP4 of the camera's images and the robot from above (see `VideoWriter`).
+    mcap : bool
+        Also write a file for the Foxglove app (see `ViewerStream`).
     """
 
-    def __init__(self, setup: Setup, directory: RunDirectory) -> None:
+    def __init__(
+        self, setup: Setup, path: Path, *, video: bool = False, mcap: bool = False
+    ) -> None:
         self._setup = setup
-        self._path = directory.path
+        self._path = path
+        self._wants_video, self._wants_mcap = video, mcap
         self._target: Frame | None = None
         self._initial: tuple[Frame, Match] | None = None
         self._last: TickRecord | None = None
         self._tracks = TrackHistory()
+        self._begun = False
         self._video: VideoWriter | None = None
         self._stream: ViewerStream | None = None
 
-    def start_video(self, *, lockstep: bool) -> None:
-        """Write every tick into a video, too (see `VideoWriter`)."""
-        from visctrl.viewers.video.writer import VideoWriter
+    def on_begin(self, *, lockstep: bool) -> None:
+        """Open what is written tick by tick."""
+        self._begun = True
+        if self._wants_video:
+            from visctrl.viewers.video.writer import VideoWriter
 
-        self._video = VideoWriter(self._path / VIDEO, self._setup, lockstep=lockstep)
+            self._video = VideoWriter(self._path / VIDEO, self._setup, lockstep=lockstep)
+        if self._wants_mcap:
+            from visctrl.viewers.foxglove.stream import ViewerStream
 
-    def start_mcap(self, *, lockstep: bool) -> None:
-        """Write every tick into a file for the Foxglove app, too (see `ViewerStream`)."""
-        from visctrl.viewers.foxglove.stream import ViewerStream
-
-        self._stream = ViewerStream.to_file(self._setup, self._path / MCAP, wait=lockstep)
+            self._stream = ViewerStream.to_file(self._setup, self._path / MCAP, wait=lockstep)
 
     def on_target(self, frames: Sequence[Frame]) -> None:
         """Keep a frame of the target view."""
@@ -70,27 +105,37 @@ class Pictures(Observer):
         if self._stream is not None:
             self._stream.on_tick(record)
 
-    def close(self) -> list[str]:
-        """Finish video and MCAP file; return what the user should know of them."""
-        notes = []
+    def on_end(self) -> list[str]:
+        """Draw everything that there is to draw; return what the user should know of it."""
+        self.close()
+        try:
+            self._draw()
+        finally:
+            if self._begun:
+                self._report()
+        return self._missing()
+
+    def close(self) -> None:
+        """Finish video and MCAP file."""
         if self._video is not None:
             self._video.close()
-            if missing := self._video.given_up:
-                notes.append(f"{missing} frames are missing in the video")
         if self._stream is not None:
             self._stream.close()
-            if missing := self._stream.given_up:
-                notes.append(f"{missing} ticks are missing in {MCAP}")
+
+    def _missing(self) -> list[str]:
+        notes = []
+        if self._video is not None and self._video.given_up:
+            notes.append(f"{self._video.given_up} frames are missing in the video")
+        if self._stream is not None:
+            if self._stream.given_up:
+                notes.append(f"{self._stream.given_up} ticks are missing in {MCAP}")
             if self._stream.problem:
                 notes.append(f"{MCAP}: {self._stream.problem}")
-        self._video = self._stream = None
         return notes
 
-    def finish(self) -> list[str]:
-        """Draw everything that there is to draw; return what the user should know of it."""
-        notes = self.close()
+    def _draw(self) -> None:
         if self._target is None or self._initial is None or self._last is None:
-            return notes
+            return
         from visctrl.viewers.video.frames import draw_frame, save_picture
 
         initial, match = self._initial
@@ -104,10 +149,9 @@ class Pictures(Observer):
         ):
             picture = draw_frame(frame, self._setup.camera, pixels, caption, ways)
             save_picture(self._path / name, picture)
-        return notes
 
-    def report(self) -> None:
-        """Write the report, from the files of the run: all of them must have been written."""
+    def _report(self) -> None:
+        """Write the report from the files of the run, all of which are written by now."""
         from visctrl.viewers.report.run_report import write_report
 
         write_report(self._path)

@@ -54,6 +54,7 @@ class VideoWriter(Observer):
         self._trace = Trace(_MOST_POSES)
         self._queue: Queue[TickRecord | None] = Queue(_BACKLOG)
         self.given_up = 0
+        self._closed = False
         codec = cv2.VideoWriter.fourcc(*"mp4v")
         size = (setup.camera.width + setup.camera.height, setup.camera.height)
         # The codec takes even sizes only.
@@ -75,7 +76,10 @@ class VideoWriter(Observer):
             self.given_up += 1
 
     def close(self) -> None:
-        """Encode what is left and close the file."""
+        """Encode what is left and close the file; a second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
         self._queue.put(None)
         self._thread.join()
         self._file.release()

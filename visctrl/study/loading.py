@@ -26,24 +26,7 @@ from visctrl.runtime.pipeline import PluginError
 from visctrl.runtime.plan import Chosen, Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.study.grid import START_KEYS, Study, study_source
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One run of a study.
-
-    index : its place in the table.
-    cell : number of its cell.
-    values : what is its own, by dotted key, the seed included.
-    scenario : the keys of its scenario.
-    key : digest of everything that its result depends on, to know it again in a later call.
-    """
-
-    index: int
-    cell: int
-    values: dict[str, Any]
-    scenario: dict[str, Any]
-    key: str
+from visctrl.study.run_spec import RunSpec
 
 
 @dataclass(frozen=True)
@@ -58,7 +41,7 @@ class LoadedStudy:
     base: dict[str, Any]
     base_origin: str
 
-    def trials(self) -> Iterator[Trial]:
+    def runs(self) -> Iterator[RunSpec]:
         """Yield every run, cell by cell."""
         study = self.study
         files: dict[str, str] = {}
@@ -67,7 +50,13 @@ class LoadedStudy:
                 own = study.trial(values, number)
                 scenario = overlaid(self.base, self._overrides(own))
                 index = cell * study.repeats + number
-                yield Trial(index, cell, own, scenario, _digest(scenario, files))
+                yield RunSpec(
+                    scenario,
+                    index=index,
+                    cell=cell,
+                    values=own,
+                    key=_digest(scenario, files),
+                )
 
     def check(self, announce: Callable[[int, int], None] = lambda total, done: None) -> None:
         """Check every scenario that will be run: each cell, and each draw.
@@ -108,7 +97,7 @@ class LoadedStudy:
 
     def _check_one(self, own: Mapping[str, Any]) -> None:
         overrides = self._overrides(own)
-        backends = REGISTRIES.backends.known()
+        backends = REGISTRIES.backends.names()
         loaded = scenario_from(self.base, self.base_origin, overrides, backends)
         plan = make_plan(loaded)
         if plan.scenario.realtime:
