@@ -13,6 +13,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 #: Each room may import itself and the rooms to its left.
 ROOMS = ("robots", "hal", "sim", "visctrl")
+#: The rooms below `visctrl`, likewise. Providers of obstacles know the poses that are estimated.
+INNER_ROOMS = (
+    *("contracts", "geometry", "perception", "planning", "schemes", "planning/providers"),
+    *("runtime", "calibration", "viewers", "study", "reproduce", "cli"),
+)
 #: Folders of the repository that are installed below `visctrl`.
 LINKED = ("robots", "hal", "sim", "configs")
 HEAVY = ("cv2", "pybullet", "scipy", "matplotlib", "filterpy")
@@ -27,23 +32,27 @@ def sources(room: str) -> list[Path]:
     )
 
 
+def modules_imported(path: Path) -> set[str]:
+    """Return the full names that a file imports, anywhere in it."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return found
+
+
 def imports_of(path: Path) -> set[str]:
     """Return the packages that a file imports, anywhere in it.
 
     Those of the rooms are called by the room: `visctrl.hal.clock` counts as ``hal``.
     """
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-        else:
-            continue
-        for name in names:
-            top, *below = name.split(".")
-            linked = top == "visctrl" and below and below[0] in LINKED
-            found.add(below[0] if linked else top)
+    for name in modules_imported(path):
+        top, *below = name.split(".")
+        linked = top == "visctrl" and below and below[0] in LINKED
+        found.add(below[0] if linked else top)
     return found
 
 
@@ -57,6 +66,34 @@ def test_imports_point_one_way(room: str) -> None:
     for path in files:
         wrong = imports_of(path) & forbidden
         assert not wrong, f"{path.relative_to(ROOT)} imports {', '.join(sorted(wrong))}"
+
+
+def inner_room(names: tuple[str, ...]) -> str | None:
+    """Return the inner room that a module or file below `visctrl` belongs to, None if to none."""
+    fitting = [room for room in INNER_ROOMS if names[: room.count("/") + 1] == (*room.split("/"),)]
+    return max(fitting, key=len, default=None)
+
+
+def test_imports_inside_point_one_way() -> None:
+    found = set()
+    for path in sources("visctrl"):
+        names = path.relative_to(ROOT / "visctrl").with_suffix("").parts
+        here = inner_room(names)
+        if here is None:
+            assert len(names) == 1, f"{path.relative_to(ROOT)} lies in no room"
+            continue
+        found.add(here)
+        allowed = INNER_ROOMS[: INNER_ROOMS.index(here) + 1]
+        for imported in modules_imported(path):
+            there = inner_room(tuple(imported.split(".")[1:]))
+            wrong = there is not None and there not in allowed
+            assert not wrong, f"{path.relative_to(ROOT)} imports {imported}"
+    assert found == set(INNER_ROOMS)
+
+
+def test_a_scenario_is_read_without_what_runs_it() -> None:
+    config = ROOT / "visctrl" / "runtime" / "config.py"
+    assert not [name for name in modules_imported(config) if "runtime" in name]
 
 
 @pytest.mark.parametrize(
