@@ -19,7 +19,7 @@ from visctrl.robots.files import owner_only, replacing, write_bytes, write_text,
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.recorder import FILES
 from visctrl.runtime.run_directory import MARKER, RunDirectory
-from visctrl.runtime.session import run_session
+from visctrl.viewers.run_pictures import run_with_pictures
 
 MakePlan = Callable[..., Plan]
 
@@ -127,8 +127,8 @@ def test_everything_is_its_owners_alone_unless_asked_otherwise(
 
     before = os.umask(0o022)
     try:
-        run_session(toy_plan(), tmp_path / "mine", video=True)
-        run_session(toy_plan(), RunDirectory(tmp_path / "ours", shared=True))
+        run_with_pictures(toy_plan(), tmp_path / "mine", video=True)
+        run_with_pictures(toy_plan(), RunDirectory(tmp_path / "ours", shared=True))
         assert os.umask(0o022) == 0o022, "what others create is theirs"
     finally:
         os.umask(before)
@@ -152,7 +152,7 @@ def test_a_disk_that_is_full_ends_the_run_with_what_could_be_saved(
 ) -> None:
     plan = toy_plan({"controller.drive_s": 40.0, "duration_s": 60.0, "controller.v": 0.005})
     with small_files(80_000):
-        outcome = run_session(plan, tmp_path / "run")
+        outcome = run_with_pictures(plan, tmp_path / "run")
     assert outcome.exit_code == 3
     assert outcome.summary["status"] == "fault"
     assert "recording ended early" in outcome.summary["reason"]
@@ -167,7 +167,7 @@ def test_a_disk_that_is_full_from_the_start_is_told_before_anything_moves(
     toy_plan: MakePlan, tmp_path: Path
 ) -> None:
     with small_files(1000), pytest.raises(DiskError, match="--out"):
-        run_session(toy_plan(), tmp_path / "run")
+        run_with_pictures(toy_plan(), tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -178,7 +178,7 @@ def test_a_verdict_whose_record_is_lost_is_no_success(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(RunDirectory, "write_summary", full)
-    outcome = run_session(toy_plan(), tmp_path / "run")
+    outcome = run_with_pictures(toy_plan(), tmp_path / "run")
     assert outcome.summary["status"] == "reached"
     assert outcome.exit_code == 3
     assert any("No space left" in note for note in outcome.notes)
