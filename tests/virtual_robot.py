@@ -66,6 +66,8 @@ class Line:
         self.url = url
         self.down, self.up = bytearray(), bytearray()  # to the robot, to the client
         self.open = False
+        #: What becomes of what a client writes, packet by packet.
+        self.spoil: Callable[[bytes], bytes] = lambda data: data
         self.hung_up = False
         self.client_lost = False
 
@@ -125,7 +127,7 @@ class Client:
     def write(self, data: bytes) -> None:
         if self._line.hung_up:
             raise BrokenPipeError(32, "Broken pipe")
-        self._line.down += data
+        self._line.down += self._line.spoil(data)
 
     def reset_input_buffer(self) -> None:
         self._line.up.clear()

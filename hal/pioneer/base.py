@@ -11,44 +11,28 @@ from __future__ import annotations
 import logging
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from visctrl.hal.actuation import bounded, quantised
-from visctrl.hal.errors import BaseFaultError, DeviceError, InputError, LinkError
+from visctrl.hal.errors import DeviceError, LinkError
 from visctrl.hal.interfaces import Base, Clock
 from visctrl.hal.pioneer.commands import Command, Id
-from visctrl.hal.pioneer.config import Config, decode_config
-from visctrl.hal.pioneer.handshake import BAUDS, connect
+from visctrl.hal.pioneer.config import Config
+from visctrl.hal.pioneer.handshake import BAUDS
 from visctrl.hal.pioneer.link import Link
-from visctrl.hal.pioneer.packet import Packet
-from visctrl.hal.pioneer.reports import (
-    RESET_TYPES,
-    Identity,
-    ReportError,
-    Type,
-    decode_standard_report,
-    is_standard_report,
-)
-from visctrl.hal.pioneer.settings import REST, settings
-from visctrl.hal.pioneer.subclasses import expected_subclass, find_subclass, subclasses_of
+from visctrl.hal.pioneer.reports import Identity
+from visctrl.hal.pioneer.session import Session
+from visctrl.hal.pioneer.settings import REST
 from visctrl.hal.pioneer.telemetry import Telemetry
+from visctrl.hal.pioneer.timing import LineLoad
 from visctrl.hal.types import STANDSTILL, BaseStatus, Odometry, Range, Velocity
 from visctrl.robots import Limits, Robot
 
-#: Without a report for so long, the robot is stopped: three reports in a row are missing.
-BLIND_S = 0.35
-#: Without a report for so long, the line counts as dead.
-SILENT_S = 0.5
 #: A moving robot that has not been commanded for so long is stopped.
 UNATTENDED_S = 0.4
-#: A robot that stands for so long although told to move does not hear, or cannot move.
-DISOBEDIENT_S = 1.5
 #: Longest pause between packets; also how often a standing robot's watchdog is fed.
 PULSE_S = 0.5
 
-_FIRST_REPORT_S = 1.0
-_CONFIG_TRIES, _CONFIG_S = 5, 0.2
-_ENABLE_TRIES, _ENABLE_S = 4, 0.5
 _STANDSTILL_S = 0.8
 #: Longest time between two looks at the line, if the machine is not overloaded.
 _LISTEN_S = 0.06
@@ -90,12 +74,10 @@ class PioneerBase(Base):
         sonar: bool = True,
     ) -> None:
         self._link = Link(url, clock)
-        self._robot = robot
+        self._session = Session(self._link, robot, bauds)
         self._limits = limits
         self._clock = clock
-        self._bauds = bauds
         self._sonar = sonar
-        self._telemetry: Telemetry | None = None
         self._watcher: threading.Thread | None = None
         self._closing = threading.Event()
         self._connected = False
@@ -107,9 +89,27 @@ class PioneerBase(Base):
         self._silence = 0.0
         self._braked_for = ""
         self._failure: DeviceError | None = None
-        self.identity: Identity | None = None
-        #: What the robot's firmware says of itself; None if it did not answer.
-        self.config: Config | None = None
+
+    @property
+    def identity(self) -> Identity | None:
+        """Who the robot is; None before it has answered."""
+        contact = self._session.contact
+        return None if contact is None else contact.identity
+
+    @property
+    def config(self) -> Config | None:
+        """What the robot's firmware says of itself; None if it did not answer."""
+        return self._session.config
+
+    @property
+    def round_trip_s(self) -> float:
+        """Time from a packet to its answer (s)."""
+        return self._session.timing.round_trip_s
+
+    @property
+    def line_load(self) -> LineLoad | None:
+        """How much of a serial line the reports take; None where there is no real line."""
+        return self._session.load()
 
     # --- session ---------------------------------------------------------------------------
 
@@ -125,9 +125,9 @@ class PioneerBase(Base):
         BaseFaultError
             The motors cannot be enabled.
         """
-        telemetry = self._meet(self._robot)
-        self._send(*settings(self._limits, self.config or Config(), sonar=self._sonar))
-        self._enable(telemetry)
+        self._link.open()
+        self._session.begin()
+        self._session.enable(self._limits, sonar=self._sonar)
         self._watcher = threading.Thread(target=self._watch, name="pioneer", daemon=True)
         self._watcher.start()
         self._connected = True
@@ -143,7 +143,8 @@ class PioneerBase(Base):
             As in `open`.
         """
         try:
-            return self._meet(None).status()
+            self._link.open()
+            return self._session.begin(any_robot=True).status()
         finally:
             self.close()
 
@@ -187,11 +188,11 @@ class PioneerBase(Base):
 
     def odometry(self) -> Odometry:
         """Return the newest odometry: pose of the axle's centre since `open`."""
-        return self._session().odometry
+        return self._telemetry().odometry
 
     def status(self) -> BaseStatus:
         """Return battery and faults; a dead line is one."""
-        status = self._session().status()
+        status = self._telemetry().status()
         if self._failure is not None:
             return BaseStatus(status.battery_v, (str(self._failure), *status.faults))
         return status
@@ -211,63 +212,12 @@ class PioneerBase(Base):
     def echoes(self, max_age_s: float = 1.0) -> dict[int, float]:
         """Return the sonar ranges (m) of the last ``max_age_s``, by transducer number."""
         newest = self._clock.now() - max_age_s
-        echoes = dict(self._session().echoes)
+        echoes = dict(self._telemetry().echoes)
         return {number: echo.range_m for number, echo in echoes.items() if echo.stamp >= newest}
 
     def ranges(self) -> list[Range]:
         """See `Base.ranges`: the sonar rings' echoes of the last second."""
-        return self._session().ranges(self._clock.now(), oldest=1.0)
-
-    # --- connecting --------------------------------------------------------------------------
-
-    def _meet(self, expected: Robot | None) -> Telemetry:
-        """Open port and session; ``expected`` is the robot that must be there."""
-        if expected is not None and not subclasses_of(expected):
-            raise InputError(
-                f"robot '{expected.name}' speaks no ARCOS: its robot.yaml has no section 'arcos'"
-            )
-        self._link.open()
-        self.identity = identity = connect(self._link, self._bauds)
-        if expected is None:
-            subclass = find_subclass(identity.subclass, (self._robot,))
-        else:
-            subclass = expected_subclass(identity.subclass, expected, self._link.url)
-        self._telemetry = Telemetry(subclass)
-        self._begin_session(self._telemetry)
-        return self._telemetry
-
-    def _begin_session(self, telemetry: Telemetry) -> None:
-        """Open the session, wait for a first report, ask for the configuration.
-
-        A robot whose watchdog has acted drives on with its old set-points as soon as any packet
-        arrives: from here on, those are taken back first.
-        """
-        self._link.after_pause = REST
-        self._send(Command(Id.OPEN))
-        if not self._wait(_FIRST_REPORT_S, lambda: telemetry.reported):
-            raise LinkError(f"port {self._link.url}: the robot opens a session but never reports")
-        for _ in range(_CONFIG_TRIES):
-            self._send(Command(Id.CONFIG))
-            if self._wait(_CONFIG_S, lambda: self.config is not None):
-                return
-        _log.warning("the robot does not tell its configuration; its own limits are unknown")
-
-    def _enable(self, telemetry: Telemetry) -> None:
-        for _ in range(_ENABLE_TRIES):
-            self._send(Command(Id.ENABLE, 1))
-            if self._wait(_ENABLE_S, lambda: telemetry.motors_on):
-                telemetry.expect_motors()
-                return
-        why = "; ".join(telemetry.blockers()) or "press the MOTORS button on the robot"
-        raise BaseFaultError(f"the motors cannot be enabled: {why}")
-
-    def _wait(self, seconds: float, done: Callable[[], bool]) -> bool:
-        """Read until ``done()`` or for ``seconds``; only while nobody else reads."""
-        for packet in self._link.receive_for(seconds):
-            self._take(packet)
-            if done():
-                return True
-        return False
+        return self._telemetry().ranges(self._clock.now(), oldest=1.0)
 
     # --- watching ------------------------------------------------------------------------------
 
@@ -275,8 +225,8 @@ class PioneerBase(Base):
         while not self._closing.is_set() and self._failure is None:
             try:
                 for packet in self._link.receive():
-                    self._take(packet)
-                self._guard(self._session())
+                    self._session.take(packet)
+                self._guard(self._telemetry())
             except LinkError as error:
                 self._failure = error
             except Exception as error:
@@ -285,28 +235,16 @@ class PioneerBase(Base):
         if self._failure is not None and not self._closing.is_set():
             self._try_to_stop()
 
-    def _take(self, packet: Packet) -> None:
-        telemetry = self._session()
-        try:
-            if is_standard_report(packet):
-                telemetry.take(decode_standard_report(packet), packet.stamp)
-            elif packet.id == Type.CONFIG and self.config is None:
-                self.config = decode_config(packet)
-                telemetry.configure(self.config)
-            elif packet.id in RESET_TYPES:
-                raise LinkError("the robot's controller has restarted: its session is lost")
-        except ReportError as error:
-            _log.warning("ignored: %s", error)
-
     def _guard(self, telemetry: Telemetry) -> None:
         """Brake or give up if something is wrong; feed the watchdog of a standing robot."""
         now = self._clock.now()
         silence = self._listen(telemetry, now)
-        if silence > SILENT_S:
+        if silence > self._session.timing.silent_s:
             raise LinkError(f"the robot has not reported for {silence:.1f} s")
         self._check_obedience(telemetry, now)
         blockers = telemetry.blockers()
-        trouble = blockers[0] if blockers else "reports are missing" if silence > BLIND_S else ""
+        blind = "reports are missing" if silence > self._session.timing.blind_s else ""
+        trouble = blockers[0] if blockers else blind
         with self._motion:
             if trouble and not self._braked_for:
                 self.stop()
@@ -334,9 +272,9 @@ class PioneerBase(Base):
     def _check_obedience(self, telemetry: Telemetry, now: float) -> None:
         if _idle(self._set_point) or not telemetry.standing:
             self._obeyed_at = now
-        elif now - self._obeyed_at > DISOBEDIENT_S:
+        elif now - self._obeyed_at > (limit := self._session.timing.disobedient_s):
             raise LinkError(
-                f"the robot reports, but has not moved for {DISOBEDIENT_S:.1f} s although told to: "
+                f"the robot reports, but has not moved for {limit:.1f} s although told to: "
                 "it does not hear, or something holds it"
             )
 
@@ -365,9 +303,9 @@ class PioneerBase(Base):
     def _say_goodbye(self) -> None:
         if self.identity is None:
             return  # nobody has answered: there is nobody to talk to
-        if self._telemetry is not None:
+        if self._session.telemetry is not None:
             self.stop()
-            self._await_standstill(self._telemetry)
+            self._await_standstill(self._session.telemetry)
             self._send(Command(Id.ENABLE, 0))
         self._send(Command(Id.CLOSE))
 
@@ -386,10 +324,10 @@ class PioneerBase(Base):
     def _watching(self) -> bool:
         return self._watcher is not None and self._watcher.is_alive()
 
-    def _session(self) -> Telemetry:
-        if self._telemetry is None:
+    def _telemetry(self) -> Telemetry:
+        if self._session.telemetry is None:
             raise LinkError(f"the robot on {self._link.url} is not connected")
-        return self._telemetry
+        return self._session.telemetry
 
 
 def _idle(set_point: Velocity) -> bool:

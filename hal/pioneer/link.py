@@ -58,6 +58,8 @@ class Link:
         self._port: serial.Serial | None = None
         self._decoder = StreamDecoder()
         self._sending = threading.Lock()
+        #: Rate of a real line; None for what has none.
+        self.baud: int | None = None
         #: When the last command went out (s).
         self.last_sent = float("-inf")
         #: What the robot must hear first after a pause of more than `PAUSE_S`.
@@ -107,7 +109,7 @@ class Link:
         """Change the line's rate and forget what has arrived so far."""
         with self._guarded() as port:
             if self.has_baud:
-                port.baudrate = baud
+                port.baudrate = self.baud = baud
             port.reset_input_buffer()
         self._decoder = StreamDecoder()
 

@@ -28,6 +28,7 @@ from visctrl.runtime.plan import chosen_camera, make_plan
 from visctrl.runtime.registry import REGISTRIES
 
 if TYPE_CHECKING:
+    from visctrl.hal.pioneer.base import PioneerBase
     from visctrl.sim.render.renderer_choice import DrawerName
 
 _PACKAGES = (
@@ -183,6 +184,7 @@ def robot(port: str) -> Iterator[Finding]:
                 Level.FAILURE, "watchdog", "off", "set the parameter Watchdog to 2000 ms: it is "
                 "what stops the robot when this computer fails",
             )  # fmt: skip
+    yield from _line(base)
     low = any("battery" in fault for fault in status.faults)
     if status.battery_v is not None:
         yield Finding(
@@ -194,6 +196,21 @@ def robot(port: str) -> Iterator[Finding]:
     for fault in status.faults:
         if "battery" not in fault:
             yield Finding(Level.FAILURE, "robot", fault, "release it before driving")
+
+
+def _line(base: PioneerBase) -> Iterator[Finding]:
+    """Say how quickly the robot answers, and what the reports take of a serial line."""
+    from visctrl.hal.pioneer.timing import SLOW_S
+
+    took = f"answers in {base.round_trip_s:.2f} s"
+    load = base.line_load
+    heavy, slow = load is not None and load.heavy, base.round_trip_s > SLOW_S
+    yield Finding(
+        Level.WARNING if heavy or slow else Level.OK,
+        "line",
+        took if load is None else f"{took}; {load}",
+        "slow: what the robot is told and what it tells comes late" if slow else "",
+    )
 
 
 def camera_stream(source: str, choice: CameraChoice) -> Iterator[Finding]:

@@ -1,0 +1,159 @@
+"""Lines that damage, lines that are slow, lines that are full, and robots that report otherwise."""
+
+from __future__ import annotations
+
+import logging
+import math
+import random
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from visctrl.hal.errors import DeviceError, LinkError
+from visctrl.hal.pioneer.commands import Id
+from visctrl.hal.pioneer.timing import LineLoad, Timing
+from visctrl.hal.types import STANDSTILL, Velocity
+
+MakeBench = Callable[..., Any]
+OPENINGS = 25
+
+
+def damage(share: float, seed: int) -> Callable[[bytes], bytes]:
+    """Return what flips a bit in a share of the packets that are written."""
+    chance = random.Random(f"{seed} {share}")
+
+    def spoil(data: bytes) -> bytes:
+        if chance.random() >= share:
+            return data
+        at = chance.randrange(len(data))
+        return data[:at] + bytes([data[at] ^ (1 << chance.randrange(8))]) + data[at + 1 :]
+
+    return spoil
+
+
+def opens(it: Any) -> bool:
+    """Return whether a session opens, and leave it in order."""
+    base = it.base()
+    try:
+        base.open()
+    except DeviceError:
+        return False
+    finally:
+        base.close()
+    return True
+
+
+@pytest.mark.parametrize("kind", ["pty", "socket"])
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_sessions_open_on_a_line_that_damages_commands(
+    bench: MakeBench, kind: str, share: float
+) -> None:
+    opened = 0
+    for seed in range(OPENINGS):
+        it = bench(kind, seed=seed)
+        it.site.line(it.robot).spoil = damage(share, seed)
+        opened += opens(it)
+        it.site.line(it.robot).spoil = bytes
+        it.site.world.sleep(2.5)
+        assert it.robot.velocity == STANDSTILL
+        it.robot.close()
+    assert opened >= OPENINGS - 1
+
+
+def test_sessions_open_on_a_line_that_damages_bytes_in_both_directions(bench: MakeBench) -> None:
+    """One byte in a hundred: every twelfth command, and every second report."""
+    opened = 0
+    for seed in range(OPENINGS):
+        it = bench(seed=seed)
+        it.robot.faults.switch_on("corrupt", 0.01)
+        opened += opens(it)
+        it.robot.close()
+    assert opened >= OPENINGS - 1
+
+
+@pytest.mark.parametrize("kind", ["pty", "socket"])
+@pytest.mark.parametrize("round_trip", [0.4, 0.9])
+def test_slow_lines_are_told_and_borne(
+    bench: MakeBench, caplog: pytest.LogCaptureFixture, kind: str, round_trip: float
+) -> None:
+    it = bench(kind)
+    it.robot.faults.switch_on("delay", round_trip / 2)
+    base = it.base()
+    with caplog.at_level(logging.WARNING):
+        base.open()
+    try:
+        assert "the line to the robot is slow" in caplog.text
+        assert base.round_trip_s == pytest.approx(round_trip, abs=0.05)
+        it.drive(base, Velocity(0.2, 0.0), 3.0)
+        assert it.robot.velocity.v == pytest.approx(0.2)
+    finally:
+        base.close()
+    it.standstill_after(2.1)
+
+
+def test_a_quick_line_is_not_called_slow(
+    bench: MakeBench, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        assert opens(bench())
+    assert "slow" not in caplog.text
+
+
+@pytest.mark.parametrize("cycle_ms", [20, 50, 200, 255])
+def test_reports_of_another_cycle_do_not_brake_the_robot(bench: MakeBench, cycle_ms: int) -> None:
+    it = bench()
+    firmware = it.robot._firmware
+    config = replace(firmware.character.config, report_cycle=cycle_ms)
+    firmware.character = replace(firmware.character, config=config)
+    base = it.base()
+    base.open()
+    try:
+        it.get_up_to(base, Velocity(0.4, 0.0))
+        it.drive(base, Velocity(0.4, 0.0), 2.0)
+        sent = [command.id for command in it.robot.traffic.commands()]
+        assert Id.E_STOP not in sent
+        it.robot.faults.switch_on("silent")
+        began = it.robot.now()
+        with pytest.raises(LinkError, match="has not reported"):
+            it.drive(base, Velocity(0.4, 0.0), 5.0)
+    finally:
+        base.close()
+    it.standstill_after(1.0)
+    # Up to a cycle passes before the first report is missed at all.
+    assert it.robot.standing_since - began < max(0.6, 2.6 * cycle_ms / 1e3 + 0.2)
+
+
+@given(st.integers(1, 255), st.floats(0.0, 1.0))
+def test_limits_follow_from_cycle_and_round_trip(cycle_ms: int, round_trip: float) -> None:
+    timing = Timing.of(cycle_ms, round_trip)
+    assert cycle_ms / 1e3 < timing.blind_s < timing.silent_s
+    assert timing.disobedient_s >= 1.5
+    usual = Timing.of(None, 0.0)
+    assert (usual.blind_s, usual.silent_s) == (0.35, 0.5)
+    assert timing.blind_s <= usual.blind_s or cycle_ms > 100
+
+
+def test_what_a_line_can_carry(bench: MakeBench, caplog: pytest.LogCaptureFixture) -> None:
+    """An 89-byte report at 9600 baud takes 93 ms of 100."""
+    full = LineLoad(9600, 89, 0.1)
+    assert full.share == pytest.approx(0.927, abs=1e-3)
+    assert full.heavy
+    assert "takes 93 ms of a cycle of 100 ms: the line is full" in str(full)
+    assert not LineLoad(38400, 89, 0.1).heavy
+    it = bench()
+    base = it.base()
+    with caplog.at_level(logging.WARNING):
+        base.open()
+    base.close()
+    assert base.line_load.baud == 9600
+    assert math.isclose(base.line_load.share, base.line_load.report_bytes / 96.0)
+    assert ("the line is full" in caplog.text) is base.line_load.heavy
+    over_tcp = bench("socket")
+    base = over_tcp.base()
+    base.open()
+    base.close()
+    assert base.line_load is None
