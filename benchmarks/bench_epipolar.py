@@ -1,4 +1,4 @@
-"""What the epipoles cost and how good they are, beside OpenCV's MAGSAC on the same data.
+"""What the epipoles cost and how good they are, beside bare OpenCV and PoseLib on the same data.
 
 Planar motion, 0.5 px noise, a fifth of gross outliers. Accuracy is the median bearing error of
 the current view's epipole; time is the median processor time of one call, on one thread. At the
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from visctrl.contracts import Context, Views
+from visctrl.geometry.two_view.general_motion import magsac
 from visctrl.geometry.two_view.planar_uncalibrated import ransac_planar_epipoles
-from visctrl.geometry.two_view.robust_matrices import robust_essential, robust_fundamental
 from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.mock.scene import seen_from
@@ -45,8 +45,8 @@ MARGIN = 0.05
 #: Each solver and what it is measured by.
 COUNTERPARTS = {
     "planar-free": "OpenCV F MAGSAC",
-    "8-point F": "OpenCV F MAGSAC",
-    "8-point E": "OpenCV E MAGSAC",
+    "fundamental": "OpenCV F MAGSAC",
+    "essential": "OpenCV E MAGSAC",
 }
 NOISE_PX = 0.5
 OUTLIERS = 0.2
@@ -96,10 +96,10 @@ def methods(a: Array, b: Array, seed: int) -> dict[str, Callable[[], Array]]:
         return np.array([math.sin(theta), 0.0, math.cos(theta)])
 
     def fundamental() -> Array:
-        return np.linalg.inv(K) @ robust_fundamental(a, b, NOISE_PX, seed=seed).epipole_a.direction
+        return magsac(*points, sigma, calibrated=False, seed=seed).epipole_a.direction
 
     def essential() -> Array:
-        return robust_essential(rays_a, rays_b, sigma, seed=seed).epipole_a.direction[[0, 2, 1]]
+        return magsac(*points, sigma, calibrated=True, seed=seed).epipole_a.direction
 
     def magsac_fundamental() -> Array:
         F, _ = cv2.findFundamentalMat(b, a, cv2.USAC_MAGSAC, 1.0, 0.999, 10_000)
@@ -111,8 +111,8 @@ def methods(a: Array, b: Array, seed: int) -> dict[str, Callable[[], Array]]:
 
     return {
         "planar-free": planar,
-        "8-point F": fundamental,
-        "8-point E": essential,
+        "fundamental": fundamental,
+        "essential": essential,
         "OpenCV F MAGSAC": magsac_fundamental,
         "OpenCV E MAGSAC": magsac_essential,
     }

@@ -19,7 +19,7 @@ from visctrl.hal.types import Pose
 
 TRIALS, FEATURES = 40, 100
 REFERENCE = "OpenCV E MAGSAC"
-OURS = ("tensor's motion", "planar-free", "8-point F", "8-point E")
+OURS = ("tensor's motion", "planar-free", "fundamental", "essential")
 THEIRS = ("OpenCV F MAGSAC", "PoseLib E", "PoseLib F")
 PINHOLE = {
     "model": "PINHOLE",

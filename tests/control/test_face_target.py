@@ -33,7 +33,7 @@ def controller() -> FaceTarget:
 
 def seen(bearing: float, health: Health = Health.OK, sd: float = 0.01) -> PlanarMotionEstimate:
     covariance = np.diag([1e-4, sd**2])
-    motion = PlanarMotion(0.0, bearing, covariance, np.ones(20, dtype=bool), health)
+    motion = PlanarMotion(0.0, bearing, covariance, np.ones(20, dtype=bool))
     return PlanarMotionEstimate(health=health, motion=motion)
 
 

@@ -11,7 +11,7 @@ from visctrl.perception.landmarks import Recognised
 from visctrl.perception.matching import describe
 from visctrl.perception.pictures import draw
 from visctrl.perception.reacquisition import Reacquisition
-from visctrl.perception.three_view import Fit
+from visctrl.perception.three_view import Resection
 from visctrl.perception.unwrap import canvas_for
 
 NAME, WIDTH = "hypercatadioptric", 400
@@ -36,7 +36,7 @@ def finder(canvas, *, wait=None):
         if wait is not None:
             wait.wait(10)
         points = describe(picture.image, canvas, 60, 15).points
-        fit = Fit(np.zeros(3), np.ones(len(points), dtype=bool), 0.0)
+        fit = Resection(np.zeros(3), np.ones(len(points), dtype=bool), 0.0)
         return Recognised(np.arange(len(points)), points, fit)
 
     return search

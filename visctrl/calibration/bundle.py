@@ -32,7 +32,7 @@ _STEP = 1e-6
 
 
 @dataclass(frozen=True)
-class Fit:
+class CameraFit:
     """A calibration.
 
     intrinsics : (5,) ξ, αx, αy, x0, y0; sigmas : (5,) their standard deviations.
@@ -74,7 +74,7 @@ class Bundle:
         self._count = len(images)
         self._free = np.arange(_INTRINSICS)[1 if pinhole else 0 :]
 
-    def fit(self, intrinsics: Array, poses: Array, *, robust: bool) -> Fit:
+    def fit(self, intrinsics: Array, poses: Array, *, robust: bool) -> CameraFit:
         """Return the least-squares solution near a start; ``robust`` with a soft-L1 loss."""
         start = np.concatenate([intrinsics[self._free], poses.ravel()])
         lower = np.full(start.shape, -np.inf)
@@ -105,7 +105,7 @@ class Bundle:
         intrinsics, poses = split(solution.x)
         residuals = -self._residuals(intrinsics, poses)
         per_image = tuple(residuals[self._image == i] for i in range(self._count))
-        return Fit(intrinsics, self._sigmas(intrinsics, poses, residuals), poses, per_image)
+        return CameraFit(intrinsics, self._sigmas(intrinsics, poses, residuals), poses, per_image)
 
     def start(self, size: tuple[int, int]) -> list[tuple[float, Array, Array]]:
         """Return the best starts as (cost, intrinsics, poses), from a search over (ξ, f).
@@ -188,7 +188,7 @@ class Bundle:
         return poses
 
 
-def camera_from(fit: Fit, size: tuple[int, int], name: str) -> UnifiedCamera:
+def camera_from(fit: CameraFit, size: tuple[int, int], name: str) -> UnifiedCamera:
     """Return a fit as a camera that sees everything its model can."""
     xi, fx, fy, cx, cy = fit.intrinsics.tolist()
     width, height = size

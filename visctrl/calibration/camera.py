@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.calibration.boards import Board, Corners
-from visctrl.calibration.bundle import Bundle, Fit, camera_from
+from visctrl.calibration.bundle import Bundle, CameraFit, camera_from
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.robots.errors import InputError
 
@@ -55,7 +55,7 @@ class Calibration:
     """
 
     camera: CentralCamera
-    fit: Fit
+    fit: CameraFit
     rms: dict[str, float]
     bad: tuple[str, ...]
     corners_left_out: int
@@ -111,11 +111,11 @@ def calibrate(
 
 def _without_bad(
     board: Board, sights: Sequence[BoardView], size: tuple[int, int], *, pinhole: bool
-) -> tuple[Fit, list[int]]:
+) -> tuple[CameraFit, list[int]]:
     """Return the fit to the images that agree, and their numbers."""
     used = list(range(len(sights)))
     bundle = Bundle(board, [sight.corners for sight in sights], pinhole)
-    fits: list[Fit] = []
+    fits: list[CameraFit] = []
     for _, intrinsics, poses in bundle.start(size):
         fits.append(bundle.fit(intrinsics, poses, robust=True))
         if np.median(fits[-1].rms) < _CONVINCING_PX:
@@ -144,7 +144,7 @@ def _without_bad(
             return fit, used
 
 
-def _without_wrong_corners(board: Board, images: Sequence[Corners], fit: Fit) -> Fit:
+def _without_wrong_corners(board: Board, images: Sequence[Corners], fit: CameraFit) -> CameraFit:
     """Return the fit without single corners that lie far off, as at the rim of a mirror."""
     pinhole = fit.sigmas[0] == 0.0
     for _ in range(_CORNER_ROUNDS):
@@ -158,7 +158,9 @@ def _without_wrong_corners(board: Board, images: Sequence[Corners], fit: Fit) ->
     return fit
 
 
-def _chosen(omni: tuple[Fit, list[int]], pinhole: tuple[Fit, list[int]]) -> tuple[Fit, list[int]]:
+def _chosen(
+    omni: tuple[CameraFit, list[int]], pinhole: tuple[CameraFit, list[int]]
+) -> tuple[CameraFit, list[int]]:
     """Return the simpler model unless the other explains the images better."""
     if len(pinhole[1]) < len(omni[1]):
         return omni
@@ -167,7 +169,7 @@ def _chosen(omni: tuple[Fit, list[int]], pinhole: tuple[Fit, list[int]]) -> tupl
     return omni if squares[1] - squares[0] > _WORTH_XI * variance else pinhole
 
 
-def _rms_of(board: Board, sight: BoardView, fit: Fit) -> float:
+def _rms_of(board: Board, sight: BoardView, fit: CameraFit) -> float:
     """Return how far an image that was left out is off, its own pose fitted alone."""
     alone = Bundle(board, [sight.corners], pinhole=True)
     return alone.pose_only(fit.intrinsics)

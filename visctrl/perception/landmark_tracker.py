@@ -15,7 +15,7 @@ from visctrl.perception.pictures import Picture
 from visctrl.perception.reacquisition import Reacquisition
 from visctrl.perception.selection import spread
 from visctrl.perception.template_alignment import TemplateAlignment
-from visctrl.perception.three_view import Fit
+from visctrl.perception.three_view import Resection
 from visctrl.perception.tracker import follow, returns
 from visctrl.perception.tracks import Tracks
 from visctrl.perception.unwrap import Canvas
@@ -155,14 +155,16 @@ class LandmarkTracker:
         )
         return tracks.subset(stays)
 
-    def _restarted(self, source: Source, found: Recognised) -> tuple[Tracks, Fit]:
+    def _restarted(self, source: Source, found: Recognised) -> tuple[Tracks, Resection]:
         """Return tracks of landmarks that were recognised, and how well they agree."""
         self._templates.expect(found.which, found.fit.pose)
         tracks = self._chosen(Tracks(found.which, found.points))
         tracks = self._held(source, tracks, _SEARCHING).only_held()
         return tracks, self._fit(tracks, found.fit.pose)
 
-    def _mended(self, source: Source, tracks: Tracks, fit: Fit, found: Recognised | None) -> Tracks:
+    def _mended(
+        self, source: Source, tracks: Tracks, fit: Resection, found: Recognised | None
+    ) -> Tracks:
         """Return the tracks that agree, and lost landmarks found again."""
         self._pose = fit.pose
         self._learn_sigma(fit)
@@ -208,11 +210,11 @@ class LandmarkTracker:
         anchored = self._templates.hold(source, tracks.which, tracks.points, iterations)
         return Tracks(tracks.which, self._canvas.canonical(anchored.points), anchored.held)
 
-    def _fit(self, tracks: Tracks, start: Array) -> Fit:
+    def _fit(self, tracks: Tracks, start: Array) -> Resection:
         rays = self._canvas.rays(tracks.points)
         return self._map.fit(tracks.which, rays, start, self._gate_sigma)
 
-    def _trusted(self, fit: Fit) -> bool:
+    def _trusted(self, fit: Resection) -> bool:
         """Whether enough tracks agree for the rest to be in the wrong."""
         return int(fit.inliers.sum()) >= self._limits.min_features and fit.share >= _AGREEMENT
 
@@ -221,7 +223,7 @@ class LandmarkTracker:
         """What tracks are judged by: never stricter than at the start."""
         return max(self._sigma, _SIGMA_PX / self._canvas.scale)
 
-    def _learn_sigma(self, fit: Fit) -> None:
+    def _learn_sigma(self, fit: Resection) -> None:
         low, high = (px / self._canvas.scale for px in (_LEAST_SIGMA_PX, _GREATEST_SIGMA_PX))
         self._sigma += _SIGMA_SHARE * (fit.residual_sd - self._sigma)
         self._sigma = min(max(self._sigma, low), high)

@@ -12,7 +12,7 @@ from visctrl.geometry.two_view.planar import PlanarMotion, refine_planar_motion,
 from visctrl.perception.matching import Described, mutual_matches, planar_inliers
 from visctrl.perception.patch_alignment import Patches, Source
 from visctrl.perception.pictures import Picture
-from visctrl.perception.three_view import Fit, ThreeViewMap
+from visctrl.perception.three_view import Resection, ThreeViewMap
 from visctrl.perception.unwrap import Canvas
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Recognised:
 
     which: Indices
     points: Array
-    fit: Fit
+    fit: Resection
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def recognise(
     which, where, rays = which[kept], where[kept], rays[kept]
     fit = landmarks.map.locate(which, rays, motion, sigma)
     agree = fit.inliers
-    fit = Fit(fit.pose, fit.inliers[agree], fit.residual_sd)
+    fit = Resection(fit.pose, fit.inliers[agree], fit.residual_sd)
     return Recognised(which[agree], picture.points[where[agree]], fit)
 
 

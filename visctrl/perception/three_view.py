@@ -38,7 +38,7 @@ _DAMPING = np.diag([1.0, 1.0, 1e-3])
 
 
 @dataclass(frozen=True)
-class Fit:
+class Resection:
     """The current view in the map.
 
     pose : (3,) x, y of the camera (in baselines) and heading (rad), in the target's frame.
@@ -92,7 +92,7 @@ class ThreeViewMap:
         scale = 1.0 / np.linalg.norm(offset, axis=-1)
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True), scale
 
-    def fit(self, which: Indices, rays: Array, start: Array, sigma: float) -> Fit:
+    def fit(self, which: Indices, rays: Array, start: Array, sigma: float) -> Resection:
         """Resect the view in which features (M,) are seen along rays (M, 3).
 
         Robust Gauss–Newton (Cauchy weights) on bearings and elevations from ``start``.
@@ -115,14 +115,14 @@ class ThreeViewMap:
         inliers = _within_gate(residual, variance)
         sure = inliers if inliers.any() else np.ones_like(inliers)
         spread = mad_sd(residual[sure, 0]) if len(which) else 0.0
-        return Fit(pose, inliers, spread)
+        return Resection(pose, inliers, spread)
 
     def agree(self, which: Indices, rays: Array, pose: Array, sigma: float) -> Mask:
         """Return whether features (M,) seen along rays (M, 3) fit a pose."""
         residual, _, variance = self._linearise(which, _seen(rays), pose, sigma)
         return _within_gate(residual, variance)
 
-    def locate(self, which: Indices, rays: Array, motion: PlanarMotion, sigma: float) -> Fit:
+    def locate(self, which: Indices, rays: Array, motion: PlanarMotion, sigma: float) -> Resection:
         """Resect a view of which only the planar motion from the target view is known."""
         direction = np.array([np.sin(motion.direction), np.cos(motion.direction)])
         starts = [

@@ -39,7 +39,7 @@ _LEAST_SHARE = 0.03
 CONVERGED = 0.02
 
 
-class Fit(NamedTuple):
+class TensorFit(NamedTuple):
     """Refined coordinates of a tensor.
 
     z : (k,) of unit length.
@@ -67,7 +67,7 @@ class Fit(NamedTuple):
         return self.linear.residual
 
 
-def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int = 20) -> Fit:
+def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int = 20) -> TensorFit:
     """Refine coordinates by robust Gauss–Newton on Sampson residuals.
 
     The kernel (Geman–McClure) is redescending: gross errors of high leverage would pull any
@@ -102,7 +102,7 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
         if math.sqrt(max(float(information.dot(step).dot(step)), 0.0)) < CONVERGED * spread:
             break
     variance = spread**2
-    return Fit(
+    return TensorFit(
         z,
         variance * inverse,
         information / variance,
@@ -113,7 +113,7 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
     )
 
 
-def debiased_covariance(relation: Trilinear, fit: Fit, sigma: float) -> Array:
+def debiased_covariance(relation: Trilinear, fit: TensorFit, sigma: float) -> Array:
     """Return the covariance (k, k) of a fit without what noise alone adds to its information.
 
     With a short baseline the residuals' derivatives are mostly noise themselves, which looks
@@ -183,14 +183,16 @@ class Coupling(NamedTuple):
     gradient: Array
 
 
-def coupling(relation: Trilinear, fit: Fit, view_1: Array, view_1_jacobian: Array) -> Coupling:
+def coupling(
+    relation: Trilinear, fit: TensorFit, view_1: Array, view_1_jacobian: Array
+) -> Coupling:
     """Return the coupling of a fit to its initial view.
 
     Parameters
     ----------
     relation : Trilinear
         Of the features, in the tensor's own coordinates (k = 8).
-    fit : Fit
+    fit : TensorFit
         Made within ``current_view_basis(view_1)``.
     view_1, view_1_jacobian : (4,), (4, m) arrays
         The initial view's parameters, and their derivatives by q.

@@ -93,8 +93,8 @@ class Trilinear(NamedTuple):
         return Trilinear(self.forms[..., which])
 
 
-class FixedViews:
-    """The initial and target views of a drive, which every current view is related to.
+class FixedForms:
+    """What the initial and target views contribute to every current view's trilinear relation.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def trilinear(rays_1: ArrayLike, rays_2: ArrayLike, rays_3: ArrayLike) -> Trilin
     Rays are bearings (sin θ, cos θ), or unit rays (right, forward, up) whose bearings are
     weighted by how level they are.
     """
-    return FixedViews(rays_1, rays_3).relation(rays_2)
+    return FixedForms(rays_1, rays_3).relation(rays_2)
 
 
 def sampson_residuals(relation: Trilinear, tensor: ArrayLike) -> Array:

@@ -26,19 +26,13 @@ from visctrl.geometry.robust.soft_l1 import (
     settle,
     some,
 )
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.planar_residuals import LinearPoints, Lines, PointPairs
 from visctrl.robots.unicycle import wrapped
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Why a motion is not determined although the views differ.
-ONE_PLANE = (
-    "all features lie in one plane, and two motions explain them: let the camera see things at "
-    "different distances"
-)
-#: Why the epipoles are not determined although their turn is.
-SHORT_BASELINE = "short baseline: the direction of the epipoles is not determined"
 #: A direction of m shows when its information exceeds the noise's by this many deviations.
 _SIGNIFICANCE = 5.0
 #: Standard deviation (rad) of an epipole's bearing beyond which it counts as undetermined.
@@ -62,13 +56,13 @@ class LinesFit(NamedTuple):
     lines : (φ, θ, λ), the baseline pointing to where most features are in front.
     variance : of φ, of both together and of θ (rad²).
     inliers : (N,) features that agree.
-    reason : what is not determined, if anything.
+    degeneracy : what is not determined, if anything.
     """
 
     lines: Lines
     variance: tuple[float, float, float]
     inliers: Mask
-    reason: str
+    degeneracy: Degeneracy | None
 
 
 def fit(
@@ -236,9 +230,9 @@ def _judged(
     fits = []
     for k, (phi, theta, ratio) in enumerate(ends):
         variance, var_b = metrics[k].bearings(axes[k], variances[k])
-        reason = _problem(known[k], max(variance[2], var_b), moved=moved[k])
+        degeneracy = _problem(known[k], max(variance[2], var_b), moved=moved[k])
         lines = (wrapped(phi), wrapped(theta), ratio)
-        fits.append(LinesFit(lines, variance, agreeing[k], reason))
+        fits.append(LinesFit(lines, variance, agreeing[k], degeneracy))
     return fits
 
 
@@ -299,12 +293,12 @@ class _Metric(NamedTuple):
         return (pp, pt, tt), aa
 
 
-def _problem(determined: list[bool], widest: float, *, moved: bool) -> str:
-    """Return the name of what is not determined, if anything; ``widest`` is a variance (rad²)."""
+def _problem(determined: list[bool], widest: float, *, moved: bool) -> Degeneracy | None:
+    """Return what is not determined, if anything; ``widest`` is a variance (rad²)."""
     if not determined[1]:
-        return "features clustered: they do not separate turning from moving"
+        return Degeneracy.CLUSTERED
     if not determined[0] and moved:
-        return ONE_PLANE
+        return Degeneracy.ONE_PLANE
     if not determined[0] or widest > _MAX_SD**2:
-        return SHORT_BASELINE
-    return ""
+        return Degeneracy.SHORT_BASELINE
+    return None

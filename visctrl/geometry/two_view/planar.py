@@ -15,16 +15,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from visctrl.contracts import Health
 from visctrl.geometry.robust.sampling import distinct_samples, ransac
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.parallax import signed_parallax
-from visctrl.geometry.two_view.planar_fit import IDENTICAL as IDENTICAL
-from visctrl.geometry.two_view.planar_fit import Fit, RayPairs, fit
+from visctrl.geometry.two_view.planar_fit import MotionFit, RayPairs, fit
 from visctrl.robots.unicycle import wrap_angle
 
 Array = NDArray[np.float64]
@@ -44,16 +43,34 @@ class PlanarMotion:
     direction : bearing in A of B's centre (rad, clockwise from forward, in (−π, π]).
     covariance : (2, 2), of (phi, direction) (rad²); infinite where nothing was measured.
     inliers : (N,) features that agree with the motion.
-    health : ``DEGENERATE`` with the reason when something is not determined; with identical
-        views ``phi`` is still valid and only ``direction`` is not.
+    degeneracy : what is not determined, if anything; with identical views ``phi`` is still valid
+        and only ``direction`` is not.
+    detail : more about it, for a reader.
     """
 
     phi: float
     direction: float
     covariance: Array
     inliers: Mask
-    health: Health = Health.OK
-    reason: str = ""
+    degeneracy: Degeneracy | None = None
+    detail: str = ""
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a motion, if one that is not determined in all."""
+        return self.degeneracy is None or self.degeneracy.found
+
+    @property
+    def determined(self) -> bool:
+        """Whether all of the motion is known."""
+        return self.degeneracy is None
+
+    @property
+    def reason(self) -> str:
+        """What is not determined, for a reader; empty if nothing."""
+        if self.degeneracy is None:
+            return ""
+        return f"{self.degeneracy}: {self.detail}" if self.detail else str(self.degeneracy)
 
     @property
     def phi_sd(self) -> float:
@@ -143,7 +160,7 @@ def ransac_planar_motion(
         phi, direction = motion.phi, motion.direction
         residual, _ = sampson_residuals(a, b, phi, direction)
         inliers = (np.abs(residual) < limit) & _plausible(a, b, phi, direction, limit)
-    return PlanarMotion(phi, direction, motion.covariance, inliers, motion.health, motion.reason)
+    return replace(motion, inliers=inliers)
 
 
 def refine_planar_motion(
@@ -210,14 +227,13 @@ def refine_motions(
     return [_motion(found) for found in fits]
 
 
-def _motion(found: Fit) -> PlanarMotion:
+def _motion(found: MotionFit) -> PlanarMotion:
     agreeing = int(np.count_nonzero(found.inliers))
     if agreeing < MINIMUM_FEATURES:
         return _too_few(len(found.inliers), agreeing)
     pp, pt, tt = found.variance
     covariance = np.array([[pp, pt], [pt, tt]])
-    health = Health.DEGENERATE if found.reason else Health.OK
-    return PlanarMotion(found.phi, found.direction, covariance, found.inliers, health, found.reason)
+    return PlanarMotion(found.phi, found.direction, covariance, found.inliers, found.degeneracy)
 
 
 def two_point_motions(a: Array, b: Array) -> Array:
@@ -296,6 +312,6 @@ def _too_few(count: int, agreeing: int | None = None) -> PlanarMotion:
         0.0,
         np.diag([np.inf, np.inf]),
         np.zeros(count, dtype=np.bool_),
-        Health.LOST,
-        f"too few features: {found}, {MINIMUM_FEATURES} are needed",
+        Degeneracy.TOO_FEW,
+        f"{found}, {MINIMUM_FEATURES} are needed",
     )

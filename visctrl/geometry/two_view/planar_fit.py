@@ -37,6 +37,7 @@ from visctrl.geometry.robust.soft_l1 import (
     products,
     settle,
 )
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.level_pairs import Complex, LevelPairs
 from visctrl.robots.unicycle import wrapped
 
@@ -45,8 +46,6 @@ Mask = NDArray[np.bool_]
 #: (φ, θ) in rad.
 Motion = tuple[float, float]
 
-#: Why a motion is degenerate: the baseline does not stand out of the noise.
-IDENTICAL = "views identical: the direction of the baseline is not determined"
 #: A baseline shows when its information exceeds the noise's by this many standard deviations.
 _BASELINE_SIGNIFICANCE = 5.0
 #: Noise of the θ column (in σ²) up to which a feature always says something about the direction,
@@ -62,23 +61,23 @@ _FULL_VOTE_SIGMAS = 3.0
 _LONGEST_STEP = 0.5
 
 
-class Fit(NamedTuple):
+class MotionFit(NamedTuple):
     """The least residuals of one pair of views.
 
     phi, direction : φ and θ (rad); the baseline points to where most features are in front.
     variance : of φ, of both together and of θ (rad²); infinite where nothing was measured.
     inliers : (N,) features that agree.
-    reason : what is not determined, if anything.
+    degeneracy : what is not determined, if anything.
     """
 
     phi: float
     direction: float
     variance: tuple[float, float, float]
     inliers: Mask
-    reason: str
+    degeneracy: Degeneracy | None
 
 
-class Linearised(NamedTuple):
+class LinearRays(NamedTuple):
     """P motions with their N features side by side.
 
     a, b : (P N,), the level parts of the rays about the baseline, a⊥ + i a∥ and b⊥ + i b∥.
@@ -109,7 +108,7 @@ class RayPairs(LevelPairs):
         # Rays along the baseline and level with the camera have neither error nor gradient.
         self._up2 = self.a_up * self.a_up + self.b_up * self.b_up + 1e-18
 
-    def linearised(self, motions: Sequence[Motion], unit: float | Array = 1.0) -> Linearised:
+    def linearised(self, motions: Sequence[Motion], unit: float | Array = 1.0) -> LinearRays:
         """Return residuals and derivatives at each pair's (φ, θ).
 
         unit : of the residuals (rad), of all or of each (P N,).
@@ -127,16 +126,16 @@ class RayPairs(LevelPairs):
         jacobian = np.empty((2, len(scale)))
         np.multiply(by_alpha, scale, out=jacobian[0])
         np.multiply(by_theta + by_alpha, scale, out=jacobian[1])
-        return Linearised(a, b, error * scale, jacobian, gradient2)
+        return LinearRays(a, b, error * scale, jacobian, gradient2)
 
-    def loudness(self, linear: Linearised) -> Array:
+    def loudness(self, linear: LinearRays) -> Array:
         """Return 1 plus the variance (P N,) in σ² of ∂r/∂θ that pixel noise alone makes.
 
         That is (a_z² + b_z² + a∥² + b∥²)/g², and the rays are of unit length.
         """
         return np.asarray((self._up2 + 2.0) / linear.gradient2)
 
-    def votes(self, linear: Linearised, sigma: float | Array) -> Array:
+    def votes(self, linear: LinearRays, sigma: float | Array) -> Array:
         """Return each feature's vote (P N,) on the sense of its baseline.
 
         sigma : of a ray's direction (rad), of all or of each (P N,).
@@ -155,7 +154,7 @@ def fit(
     limit_sigmas: float = math.inf,
     present: Mask | None = None,
     iterations: int = 15,
-) -> list[Fit]:
+) -> list[MotionFit]:
     """Return the soft-L1 minimum of each pair's residuals near a start.
 
     Parameters
@@ -177,7 +176,7 @@ def fit(
         sigma = np.repeat(sigma, pairs.features)
     unit = KERNEL_SIGMAS * sigma
 
-    def linearise(motions: list[Motion]) -> Linearised:
+    def linearise(motions: list[Motion]) -> LinearRays:
         return pairs.linearised(motions, unit)
 
     descents = [_Motion(start, iterations, _LONGEST_STEP) for start in starts]
@@ -206,9 +205,9 @@ class _Motion(Descent[Motion]):
 def _judged(
     pairs: RayPairs,
     motions: Sequence[Motion],
-    settled: Settled[Linearised],
+    settled: Settled[LinearRays],
     sigma: float | Array,
-) -> list[Fit]:
+) -> list[MotionFit]:
     """Return the fits at (φ, θ), what they are known by and what is not determined."""
     linear, weights, inside = settled
     by_phi, by_theta = linear.jacobian
@@ -242,14 +241,16 @@ def _judged(
     sense = votes.reshape(pairs.pairs, -1).sum(axis=1).tolist()
     fits = []
     for k, (phi, theta) in enumerate(motions):
-        variance, reason = _variance(sums[k], units[k] ** 2)
+        variance, degeneracy = _variance(sums[k], units[k] ** 2)
         direction = theta if sense[k] >= 0.0 else theta + math.pi
-        fits.append(Fit(wrapped(phi), wrapped(direction), variance, agree[k], reason))
+        fits.append(MotionFit(wrapped(phi), wrapped(direction), variance, agree[k], degeneracy))
     return fits
 
 
-def _variance(sums: list[list[float]], unit: float) -> tuple[tuple[float, float, float], str]:
-    """Return the variances of φ, of both and of θ, and the name of the degeneracy, if any.
+def _variance(
+    sums: list[list[float]], unit: float
+) -> tuple[tuple[float, float, float], Degeneracy | None]:
+    """Return the variances of φ, of both and of θ, and the degeneracy, if any.
 
     With a short baseline the noise itself makes the θ column non-zero; its share is taken out
     of the information, or the direction would look known when it is not. Rays along the
@@ -265,16 +266,16 @@ def _variance(sums: list[list[float]], unit: float) -> tuple[tuple[float, float,
     """
     (pp, pt, tt, noise, doubt2, _), (_, _, shown, shown_noise, _, shown2), quiet = sums
     if pp * _MAX_PHI_SD**2 < unit:
-        return (math.inf, 0.0, math.inf), "features clustered, or level with the camera"
+        return (math.inf, 0.0, math.inf), Degeneracy.CLUSTERED_OR_LEVEL
     doubt, doubt_shown = math.sqrt(2.0 * doubt2), math.sqrt(2.0 * shown2)
     signal = shown / unit - shown_noise
     alone = unit / pp
     if signal < _BASELINE_SIGNIFICANCE * max(doubt_shown, 1e-12):
-        return (alone, 0.0, _UNKNOWN_DIRECTION), IDENTICAL
+        return (alone, 0.0, _UNKNOWN_DIRECTION), Degeneracy.IDENTICAL
     known = max(quiet[2] / unit - quiet[3], tt / unit - noise - 2.0 * doubt)
     coupling = pt / pp
     direction = 1.0 / max(known - coupling * pt / unit, 1e-12)
     variance = (alone + coupling**2 * direction, -coupling * direction, direction)
     if variance[0] > _MAX_PHI_SD**2 or direction > _MAX_DIRECTION_SD**2:
-        return variance, "features clustered: they do not separate turning from moving"
-    return variance, ""
+        return variance, Degeneracy.CLUSTERED
+    return variance, None

@@ -21,11 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from visctrl.contracts import Health
 from visctrl.geometry.robust.sampling import distinct_samples, ransac, truncated_squares
 from visctrl.geometry.two_view import epipolar_fit
-from visctrl.geometry.two_view.epipolar_fit import ONE_PLANE as ONE_PLANE
-from visctrl.geometry.two_view.epipolar_fit import SHORT_BASELINE as SHORT_BASELINE
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.planar import PlanarMotion
 from visctrl.geometry.two_view.planar_residuals import Lines, PointPairs, squared_residuals
 
@@ -222,16 +220,15 @@ def _epipoles(found: epipolar_fit.LinesFit) -> PlanarEpipoles:
     count, features = int(np.count_nonzero(found.inliers)), len(found.inliers)
     if count < MINIMUM_FEATURES:
         shown = f"{count} of {features} features fit one motion, {MINIMUM_FEATURES} are needed"
-        return _lost(features, f"no agreement: {shown}")
+        return _lost(features, Degeneracy.NO_AGREEMENT, shown)
     pp, pt, tt = found.variance
     return PlanarEpipoles(
         found.lines[0],
         found.lines[1],
         np.array([[pp, pt], [pt, tt]]),
         found.inliers,
-        Health.DEGENERATE if found.reason else Health.OK,
-        found.reason,
-        _unit_vector(found.lines),
+        found.degeneracy,
+        vector=_unit_vector(found.lines),
     )
 
 
@@ -259,9 +256,10 @@ def _vector(elements: ArrayLike) -> Vector:
 
 
 def _too_few(count: int) -> PlanarEpipoles:
-    return _lost(count, f"too few features: {count}, {MINIMUM_FEATURES} are needed")
+    return _lost(count, Degeneracy.TOO_FEW, f"{count}, {MINIMUM_FEATURES} are needed")
 
 
-def _lost(count: int, reason: str) -> PlanarEpipoles:
+def _lost(count: int, degeneracy: Degeneracy, detail: str) -> PlanarEpipoles:
     unknown = np.diag([np.inf, np.inf])
-    return PlanarEpipoles(0.0, 0.0, unknown, np.zeros(count, dtype=np.bool_), Health.LOST, reason)
+    none = np.zeros(count, dtype=np.bool_)
+    return PlanarEpipoles(0.0, 0.0, unknown, none, degeneracy, detail)

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from visctrl.contracts import Context, Estimator, Health, Signal, Views
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.planar import (
     PlanarMotion,
     ransac_planar_motion,
@@ -58,8 +59,10 @@ class PlanarMotionEstimator(Estimator[PlanarMotionOptions, PlanarMotionEstimate]
         if views.health is Health.LOST:
             return self._lost(views)
         motion = self._follow(views, sent.omega * dt) or self._search(views)
-        self._motion = None if motion.health is Health.LOST else motion
-        return PlanarMotionEstimate(health=motion.health, reason=motion.reason, motion=motion)
+        self._motion = motion if motion.found else None
+        unknown = Health.DEGENERATE if motion.found else Health.LOST
+        health = Health.OK if motion.determined else unknown
+        return PlanarMotionEstimate(health=health, reason=motion.reason, motion=motion)
 
     def values(self) -> Mapping[str, float]:
         """Return bearing and heading of the target, and how many features agree."""
@@ -86,7 +89,7 @@ class PlanarMotionEstimator(Estimator[PlanarMotionOptions, PlanarMotionEstimate]
         if not near.size or near.mean() < self.options.min_inliers:
             return None
         motion = refine_planar_motion(views.current[near], views.target[near], *start, views.sigma)
-        if motion.health is Health.LOST:
+        if not motion.found:
             return None
         inliers = near.copy()
         inliers[near] = motion.inliers
@@ -108,8 +111,7 @@ class PlanarMotionEstimator(Estimator[PlanarMotionOptions, PlanarMotionEstimate]
             direction=0.0,
             covariance=np.diag([np.inf, np.inf]),
             inliers=np.zeros(len(views), dtype=np.bool_),
-            health=Health.LOST,
-            reason=views.reason,
+            degeneracy=Degeneracy.TOO_FEW,
         )
         self._motion = None
         return PlanarMotionEstimate(health=Health.LOST, reason=views.reason, motion=nothing)

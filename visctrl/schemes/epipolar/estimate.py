@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.contracts import Estimate, Health
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.planar import PlanarMotion
 from visctrl.robots.unicycle import wrapped
 
@@ -23,6 +24,7 @@ class EpipolePair(NamedTuple):
     sd_a, sd_b : their first-order standard deviations (rad).
     turn, turn_sd : heading of b in a's frame (rad, counter-clockwise); it stays known when the
         baseline is too short for the epipoles.
+    degeneracy : what is not determined, if anything; health and reason follow from it.
     """
 
     bearing_a: float
@@ -33,6 +35,7 @@ class EpipolePair(NamedTuple):
     turn_sd: float
     health: Health = Health.OK
     reason: str = ""
+    degeneracy: Degeneracy | None = None
 
     @staticmethod
     def of(motion: PlanarMotion) -> EpipolePair:
@@ -47,8 +50,9 @@ class EpipolePair(NamedTuple):
             math.sqrt(max(sum_b, 0.0)),
             motion.phi,
             math.sqrt(turn),
-            motion.health,
+            _health(motion),
             motion.reason,
+            motion.degeneracy,
         )
 
     def swapped(self) -> EpipolePair:
@@ -62,6 +66,7 @@ class EpipolePair(NamedTuple):
             self.turn_sd,
             self.health,
             self.reason,
+            self.degeneracy,
         )
 
     @property
@@ -113,3 +118,9 @@ class EpipoleEstimate(Estimate):
     initial_target: EpipolePair | None = None
     aligned_current: EpipolePair | None = None
     location: Location | None = None
+
+
+def _health(motion: PlanarMotion) -> Health:
+    if motion.determined:
+        return Health.OK
+    return Health.DEGENERATE if motion.found else Health.LOST

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from visctrl.contracts import Context, Estimator, Health, Signal, Views
-from visctrl.geometry.two_view.planar_uncalibrated import ONE_PLANE
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.hal.types import Velocity
 from visctrl.robots.documents import StrictModel
 from visctrl.schemes.epipolar.estimate import EpipoleEstimate, EpipolePair
@@ -30,7 +30,8 @@ class EpipolesOptions(StrictModel):
 
     solver : ``planar-free`` leaves the focal length and the image's centre column open
         (perspective cameras), ``planar`` uses the calibration (any camera), ``auto`` takes the
-        first for perspective cameras and the second for all others.
+        first for perspective cameras and the second for all others. ``fundamental`` and
+        ``essential`` are OpenCV's MAGSAC, which takes nothing for planar (perspective cameras).
     hypotheses : random samples per pair and tick.
     sd_limit_rad : epipoles less certain than this do not correct the location.
     distance_m : rough distance to the target, before motion shows it.
@@ -246,7 +247,7 @@ class Epipoles(Estimator[EpipolesOptions, EpipoleEstimate]):
 
 def _problem(pair: EpipolePair) -> str:
     """Return why a pair of views does not do, and what to do."""
-    if pair.reason == ONE_PLANE:
+    if pair.degeneracy is Degeneracy.ONE_PLANE:
         return pair.reason
     if pair.reason:
         return f"{pair.reason}; start farther from the target, or where more is to be seen"

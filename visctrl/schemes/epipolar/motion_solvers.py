@@ -9,17 +9,13 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.contracts import Health
 from visctrl.geometry.robust.sampling import truncated_squares
-from visctrl.geometry.two_view.essential import Epipole
+from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.horizon import find_horizon
-from visctrl.geometry.two_view.parallax import signed_parallax
 from visctrl.geometry.two_view.planar import (
-    IDENTICAL,
     PlanarMotion,
     ransac_planar_motion,
     refine_motions,
-    sampson_residuals,
     squared_residuals,
 )
 from visctrl.geometry.two_view.planar_fit import RayPairs
@@ -27,22 +23,18 @@ from visctrl.geometry.two_view.planar_residuals import PointPairs
 from visctrl.geometry.two_view.planar_residuals import squared_residuals as squared_point_residuals
 from visctrl.geometry.two_view.planar_uncalibrated import (
     MINIMUM_FEATURES,
-    ONE_PLANE,
-    SHORT_BASELINE,
     PlanarEpipoles,
     ransac_planar_epipoles,
     refine_epipoles,
     turned,
 )
 from visctrl.geometry.two_view.rivals import rival_motion
-from visctrl.geometry.two_view.robust_matrices import robust_essential, robust_fundamental
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.robots.errors import InputError
-from visctrl.robots.unicycle import wrap_angle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Solver = Literal["auto", "planar-free", "planar", "eight-point"]
+Solver = Literal["auto", "planar-free", "planar", "fundamental", "essential"]
 
 #: Features further than this from a followed motion are outliers (standard deviations): of a
 #: calibrated camera's rays, and of points, of which one that lies near its epipolar line by
@@ -52,8 +44,6 @@ _RAY_SIGMAS, _POINT_SIGMAS = 8.0, 4.0
 _DIRECTIONS: Array = np.linspace(0.0, math.pi, 12, endpoint=False)
 #: A residual counts at most this many standard deviations there.
 _COUNTED_SIGMAS = 4.0
-#: Parallax (rad) from which a feature has a full vote on the sense of the motion.
-_FAR_PARALLAX = 0.005
 #: Rays less far forward than this have no place in a perspective image.
 _MIN_FORWARD = 1e-3
 
@@ -107,9 +97,9 @@ class Calibrated:
     def search(self, a: Array, b: Array, sigma: float, hypotheses: int, seed: int) -> PlanarMotion:
         """Return the motion that most of the rays agree with (see the protocol)."""
         motion = ransac_planar_motion(a, b, sigma, seed=seed, hypotheses=hypotheses)
-        if motion.health is Health.OK and rival_motion(a, b, motion, sigma, seed=seed) is not None:
+        if motion.determined and rival_motion(a, b, motion, sigma, seed=seed) is not None:
             unknown = np.diag([np.inf, np.inf])
-            return replace(motion, covariance=unknown, health=Health.DEGENERATE, reason=ONE_PLANE)
+            return replace(motion, covariance=unknown, degeneracy=Degeneracy.ONE_PLANE)
         return motion
 
     def follow(
@@ -136,7 +126,7 @@ class Calibrated:
     def unmoved(self) -> PlanarMotion:
         """Return no motion at all (see the protocol)."""
         unknown, nobody = np.diag([0.0, np.inf]), np.zeros(0, dtype=np.bool_)
-        return PlanarMotion(0.0, 0.0, unknown, nobody, Health.DEGENERATE, IDENTICAL)
+        return PlanarMotion(0.0, 0.0, unknown, nobody, Degeneracy.IDENTICAL)
 
     def redirected(
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
@@ -201,7 +191,8 @@ class Uncalibrated:
         """Return no motion at all (see the protocol)."""
         unknown, nobody = np.diag([0.0, np.inf]), np.zeros(0, dtype=np.bool_)
         ahead = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
-        return PlanarEpipoles(0.0, 0.0, unknown, nobody, Health.DEGENERATE, SHORT_BASELINE, ahead)
+        short = Degeneracy.SHORT_BASELINE
+        return PlanarEpipoles(0.0, 0.0, unknown, nobody, short, vector=ahead)
 
     def redirected(
         self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
@@ -214,84 +205,9 @@ class Uncalibrated:
 
     def _points(self, rays: Array) -> Array:
         """Return (right, up)/forward (..., 2, N) of rays (..., 3, N), over the horizon."""
-        points = _image_points(rays)
+        points = image_points(rays)
         points[..., 1, :] -= self.horizon
         return points
-
-
-class EightPoint:
-    """General motion by the 8-point solution, for comparison: nothing is assumed to be planar.
-
-    Rays give an essential matrix; a perspective camera's points a fundamental matrix, whose
-    epipoles are then in the units of the assumed calibration.
-    """
-
-    def __init__(self, *, uncalibrated: bool) -> None:
-        self._uncalibrated = uncalibrated
-
-    def search(self, a: Array, b: Array, sigma: float, hypotheses: int, seed: int) -> PlanarMotion:
-        """Return the planar part of the general motion that most of the rays agree with."""
-        if self._uncalibrated:
-            points = _image_points(a.T).T, _image_points(b.T).T
-            found = robust_fundamental(*points, sigma, seed=seed, max_hypotheses=hypotheses)
-            e_a, e_b = (_upright(e) for e in (found.epipole_a, found.epipole_b))
-        else:
-            found = robust_essential(a, b, sigma, seed=seed, max_hypotheses=hypotheses)
-            e_a, e_b = found.epipole_a, found.epipole_b
-        if found.health is Health.LOST:
-            unknown = np.diag([np.inf, np.inf])
-            return PlanarMotion(0.0, 0.0, unknown, found.inliers, found.health, found.degeneracy)
-        theta, turn = _senses(a[found.inliers], b[found.inliers], e_a.bearing, e_b.bearing)
-        var_a, var_b = e_a.bearing_sd**2, e_b.bearing_sd**2
-        covariance = np.array([[var_a + var_b, -var_a], [-var_a, var_a]])
-        return PlanarMotion(
-            turn, theta, covariance, found.inliers, found.health, str(found.degeneracy)
-        )
-
-    def follow(
-        self,
-        rays: tuple[Array, Array],
-        present: Mask | None,
-        last: list[PlanarMotion],
-        turn: float,
-        sigma: float,
-    ) -> list[PlanarMotion]:
-        """Return new searches: the general solution gains nothing from the last ones."""
-        del last, turn
-        fixed, current = rays
-        found = []
-        for index, view in enumerate(fixed):
-            a, b = view.T, current.T
-            if present is not None:
-                a, b = a[present[index]], b[present[index]]
-            found.append(self.search(a, b, sigma, hypotheses=256, seed=len(a)))
-        return found
-
-    def unmoved(self) -> PlanarMotion:
-        """Return no motion at all; it is not followed."""
-        return Calibrated().unmoved()
-
-    def redirected(
-        self, a: Array, b: Array, last: PlanarMotion, turn: float, sigma: float
-    ) -> PlanarMotion:
-        """Return ``last``: it is not followed."""
-        del a, b, turn, sigma
-        return last
-
-
-def _upright(epipole: Epipole) -> Epipole:
-    """Return an epipole (x, y, 1)-wise as one along (right, forward, up)."""
-    order = [0, 2, 1]
-    return Epipole(epipole.direction[order], epipole.covariance[np.ix_(order, order)])
-
-
-def _senses(a: Array, b: Array, theta: float, alpha: float) -> tuple[float, float]:
-    """Return the bearing of b's centre and b's heading from the baseline's two line angles."""
-    turns = [float(wrap_angle(alpha - theta + half)) for half in (0.0, math.pi)]
-    misfits = [float(np.median(np.abs(sampson_residuals(a, b, t, theta)[0]))) for t in turns]
-    turn = turns[int(np.argmin(misfits))]
-    votes = np.tanh(signed_parallax(a, b, turn, theta) / _FAR_PARALLAX)
-    return float(wrap_angle(theta if votes.sum() >= 0.0 else theta + math.pi)), turn
 
 
 def solver_for(name: Solver, camera: CentralCamera) -> PairSolver:
@@ -300,20 +216,20 @@ def solver_for(name: Solver, camera: CentralCamera) -> PairSolver:
     Raises
     ------
     InputError
-        ``planar-free`` for a camera that is not perspective.
+        A camera that is not perspective, for a solver that works on an image plane.
     """
     perspective = camera.rectilinear and not camera.panoramic
-    if name == "eight-point":
-        return EightPoint(uncalibrated=perspective)
-    if name == "auto":
-        return Uncalibrated() if perspective else Calibrated()
-    if name == "planar":
+    if name == "planar" or (name == "auto" and not perspective):
         return Calibrated()
     if not perspective:
         raise InputError(
             f"solver '{name}' needs a perspective camera looking ahead, and '{camera.name}' is "
             "not one: choose 'planar' or 'auto'"
         )
+    if name in ("fundamental", "essential"):
+        from visctrl.schemes.epipolar.general_solver import GeneralMotion
+
+        return GeneralMotion(calibrated=name == "essential")
     return Uncalibrated()
 
 
@@ -334,6 +250,6 @@ def _bearing_vectors(phi: float) -> Array:
     return np.asarray(m.reshape(-1, 4))
 
 
-def _image_points(rays: Array) -> Array:
+def image_points(rays: Array) -> Array:
     """Return (right, up)/forward (..., 2, N) of rays (..., 3, N)."""
     return np.asarray(rays[..., ::2, :] / np.maximum(rays[..., 1:2, :], _MIN_FORWARD))

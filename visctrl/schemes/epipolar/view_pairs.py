@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.contracts import Health
-from visctrl.geometry.two_view.planar import IDENTICAL, PlanarMotion
-from visctrl.geometry.two_view.planar_uncalibrated import ONE_PLANE, SHORT_BASELINE
+from visctrl.geometry.two_view.degeneracy import Degeneracy
+from visctrl.geometry.two_view.planar import PlanarMotion
 from visctrl.schemes.epipolar.motion_solvers import PairSolver
 from visctrl.schemes.fixed_views import ViewSet
 
@@ -69,11 +68,11 @@ class PairsFollower:
         """Return what to follow a pair from; a motion that is not determined may mislead."""
         name = sight.names[index]
         last = self._last[name]
-        if last.health is Health.LOST or last.reason == ONE_PLANE:
+        if not last.found or last.degeneracy is Degeneracy.ONE_PLANE:
             return None
-        if last.health is Health.OK or self._calls[name] % _SEARCH_EVERY != 0:
+        if last.determined or self._calls[name] % _SEARCH_EVERY != 0:
             return last
-        if last.reason in (IDENTICAL, SHORT_BASELINE):
+        if last.degeneracy in (Degeneracy.IDENTICAL, Degeneracy.SHORT_BASELINE):
             return self._solver.redirected(*sight.pair(index), last, turn, sigma)
         return None
 
@@ -95,6 +94,6 @@ class PairsFollower:
         for row, (index, motion) in enumerate(zip(which, motions, strict=True)):
             count = len(motion.inliers) if present is None else np.count_nonzero(present[row])
             agreeing = np.count_nonzero(motion.inliers)
-            if motion.health is not Health.LOST and agreeing >= _MIN_SHARE * count:
+            if motion.found and agreeing >= _MIN_SHARE * count:
                 found[index] = motion
         return found

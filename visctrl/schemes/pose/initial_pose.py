@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.contracts import Health, Views
+from visctrl.contracts import Views
 from visctrl.geometry.trifocal.tensor import CALIBRATED, T111, T121, T211, T221
 from visctrl.geometry.trifocal.transfer import bearings
 from visctrl.geometry.two_view.planar import ransac_planar_motion
@@ -65,7 +65,7 @@ def initial_by_tensor(views: Views, distance: float, seed: int) -> Array | str:
 def initial_by_essential(views: Views, leg: Leg, seed: int) -> Array | str:
     """Return C1 (3,): directions from the planar essential matrix, the scale from the leg."""
     motion = ransac_planar_motion(views.target, views.initial, views.sigma, seed=seed)
-    if motion.health is not Health.OK:
+    if not motion.determined:
         return motion.reason
     # Seen from the target, C1 lies at the bearing θ: (sin θ, cos θ) = (sin β, −cos β).
     beta = math.pi - motion.direction

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from visctrl.contracts import Health, Views
+from visctrl.contracts import Views
 from visctrl.geometry.pose_outputs import epipole_bearings, normalised_elements
 from visctrl.geometry.trifocal.fit import refine
 from visctrl.geometry.trifocal.solvers import (
@@ -205,9 +205,9 @@ class EpipoleModel(MeasurementModel):
         motion = None
         if self._last is not None:
             motion = refine_planar_motion(fixed, views.current, *self._last, views.sigma)
-        if motion is None or motion.health is not Health.OK or motion.inliers.mean() < 0.6:
+        if motion is None or not motion.determined or motion.inliers.mean() < 0.6:
             motion = ransac_planar_motion(fixed, views.current, views.sigma, seed=self._seed)
-        if motion.health is not Health.OK:
+        if not motion.determined:
             return motion.reason
         if motion.direction_sd > _MAX_EPIPOLE_SD:
             return f"epipole known to {np.degrees(motion.direction_sd):.0f} deg only"

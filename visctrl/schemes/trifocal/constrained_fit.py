@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from visctrl.contracts import Context, Health, Views
 from visctrl.geometry.trifocal.fit import (
     Coupling,
-    Fit,
+    TensorFit,
     coupling,
     refine,
     view_jacobian,
@@ -22,11 +22,12 @@ from visctrl.geometry.trifocal.tensor import (
     T112,
     T121,
     T122,
-    FixedViews,
+    FixedForms,
     Trilinear,
     unit_bearings,
 )
-from visctrl.geometry.two_view.planar import IDENTICAL, PlanarMotion, ransac_planar_motion
+from visctrl.geometry.two_view.degeneracy import Degeneracy
+from visctrl.geometry.two_view.planar import PlanarMotion, ransac_planar_motion
 from visctrl.hal.types import Pose, Velocity
 from visctrl.schemes.path_scale import DeadReckoning, PathScale, Point
 from visctrl.schemes.trifocal.initial_from_bearings import InitialFromBearings
@@ -71,7 +72,7 @@ class ConstrainedFit(TensorMethod):
         self._view: tuple[float, Point] | None = None
         self._doubts = 0
         # What the fixed views contribute to every tick's relation, and which views these were.
-        self._fixed: tuple[Views, FixedViews] | None = None
+        self._fixed: tuple[Views, FixedForms] | None = None
 
     def predict(self, sent: Velocity, dt: float) -> None:
         """Advance the dead-reckoned path, along the heading that was last seen."""
@@ -119,7 +120,7 @@ class ConstrainedFit(TensorMethod):
             or known[0].initial is not views.initial
             or known[0].target is not views.target
         ):
-            known = self._fixed = (views, FixedViews(views.initial, views.target))
+            known = self._fixed = (views, FixedForms(views.initial, views.target))
         return known[1].relation(views.current)
 
     def _find_initial(self, views: Views) -> InitialView | Measurement:
@@ -129,7 +130,7 @@ class ConstrainedFit(TensorMethod):
         reason = "elevations are not used"
         if self.options.elevations:
             motion = self._motion(views.initial, views)
-            if motion.health is Health.OK:
+            if motion.determined:
                 return InitialView.of(motion)
             reason = motion.reason
             if _on_target(motion, views.initial, views):
@@ -161,7 +162,7 @@ class ConstrainedFit(TensorMethod):
         turned_only = _on_target(motion, views.current, views) or identical_views(
             views.current, views.target, views.sigma
         )
-        if motion.health is Health.LOST or not turned_only:
+        if not motion.found or not turned_only:
             reason = "views identical: initial and target, so no distance can be measured"
             return Measurement.none(Health.DEGENERATE, reason)
         middle = unit_bearings(views.target)[0].mean(axis=0)
@@ -184,7 +185,9 @@ class ConstrainedFit(TensorMethod):
             spread=views.sigma,
         )
 
-    def _fit(self, relation: Trilinear, initial: InitialView, sigma: float) -> tuple[Fit, Mask]:
+    def _fit(
+        self, relation: Trilinear, initial: InitialView, sigma: float
+    ) -> tuple[TensorFit, Mask]:
         """Return the fit that starts from the prediction, or a better one from scratch."""
         relation = relation.within(initial.basis)
         start = self._predicted(initial)
@@ -208,8 +211,8 @@ class ConstrainedFit(TensorMethod):
         return (other, others) if others.sum() > agreeing.sum() else (fit, agreeing)
 
     def _reconsidered(
-        self, views: Views, relation: Trilinear, fit: Fit, agreeing: Mask
-    ) -> tuple[Fit, Mask]:
+        self, views: Views, relation: Trilinear, fit: TensorFit, agreeing: Mask
+    ) -> tuple[TensorFit, Mask]:
         """Return a fit with another initial view if the present one was the wrong solution.
 
         Residuals far above the noise say that the initial view cannot be right; the bearings
@@ -229,7 +232,7 @@ class ConstrainedFit(TensorMethod):
         self._initial = InitialViewFilter(other)
         return others_fit, others
 
-    def _agreeing(self, fit: Fit, sigma: float) -> Mask:
+    def _agreeing(self, fit: TensorFit, sigma: float) -> Mask:
         limit = self.options.threshold_sigmas * min(fit.spread, DRIFT * sigma)
         return np.asarray(np.abs(fit.residuals) < limit)
 
@@ -244,7 +247,7 @@ class ConstrainedFit(TensorMethod):
         c, s = inverse * math.cos(heading + turn), inverse * math.sin(heading + turn)
         return np.array([c, s, inverse * x, inverse * y])
 
-    def _follow(self, initial: InitialView, heading: float, target: Point, fit: Fit) -> None:
+    def _follow(self, initial: InitialView, heading: float, target: Point, fit: TensorFit) -> None:
         """Keep the pose for the next prediction, and compare the paths seen and driven."""
         self._view = (heading, target)
         self._moved = _NOWHERE
@@ -256,7 +259,12 @@ class ConstrainedFit(TensorMethod):
         self._scale.update(self._driven, self._velocity, seen, seen_sd)
 
     def _measurement(
-        self, initial: InitialView, uncertainty: Array, known: Coupling, fit: Fit, inliers: int
+        self,
+        initial: InitialView,
+        uncertainty: Array,
+        known: Coupling,
+        fit: TensorFit,
+        inliers: int,
     ) -> Measurement:
         basis = initial.basis
         tensor = basis.dot(fit.z)
@@ -285,7 +293,7 @@ def _on_target(motion: PlanarMotion, rays: Array, views: Views) -> bool:
 
     Elevations alone say so too where all features are level with the camera.
     """
-    return motion.reason == IDENTICAL and identical_views(
+    return motion.degeneracy is Degeneracy.IDENTICAL and identical_views(
         rays, views.target, _SAME_WITHIN * views.sigma
     )
 
