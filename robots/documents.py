@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import difflib
+import json
+import reprlib
 from collections.abc import Iterable, Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import read_text
+from visctrl.robots.plain_yaml import MOST_BYTES, YamlError, load_plain
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+#: Characters of a wrong value in a message.
+_WIDEST = 80
+#: Wrong keys that are told at a time.
+_MOST_ERRORS = 10
 
 
 class StrictModel(BaseModel):
@@ -31,13 +40,35 @@ def read_yaml(source: Path | Traversable) -> dict[str, Any]:
     InputError
         The file is missing, unreadable, not YAML, or not a mapping.
     """
+    if isinstance(source, Path):
+        return parse_yaml(read_text(source, MOST_BYTES), str(source))
+    return parse_yaml(source.read_text(encoding="utf-8"), str(source))
+
+
+def read_json(path: Path, most: int = MOST_BYTES) -> Any:
+    """Return what a JSON file holds; ``most`` is the largest size that is read (bytes).
+
+    Raises
+    ------
+    InputError
+        The file is missing, unreadable, or not JSON.
+    """
+    return parse_json(read_text(path, most), str(path))
+
+
+def parse_json(text: str, origin: str) -> Any:
+    """Return what a JSON text says; ``origin`` names it in messages.
+
+    Raises
+    ------
+    InputError
+        It is not JSON.
+    """
     try:
-        text = source.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{source}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{source}: cannot be read: {error}") from None
-    return parse_yaml(text, str(source))
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        raise InputError(f"{origin}: not valid JSON: {reason}") from None
 
 
 def parse_yaml(text: str, source: str) -> dict[str, Any]:
@@ -49,12 +80,10 @@ def parse_yaml(text: str, source: str) -> dict[str, Any]:
         Not YAML, or not a mapping.
     """
     try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"{source}:{mark.line + 1}" if mark is not None else str(source)
-        problem = getattr(error, "problem", None) or "cannot be parsed"
-        raise InputError(f"{where}: not valid YAML: {problem}") from None
+        data = load_plain(text)
+    except YamlError as error:
+        where = source if error.line is None else f"{source}:{error.line}"
+        raise InputError(f"{where}: not valid YAML: {error}") from None
     if data is None:
         return {}
     if not isinstance(data, dict):
@@ -73,7 +102,10 @@ def validate(data: Mapping[str, Any], model: type[Model], origin: str) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        lines = [_describe(detail, model, origin) for detail in error.errors()]
+        found = error.errors()
+        lines = [_describe(detail, model, origin) for detail in found[:_MOST_ERRORS]]
+        if len(found) > _MOST_ERRORS:
+            lines.append(f"{origin}: and {len(found) - _MOST_ERRORS} more")
         raise InputError("\n".join(lines)) from None
 
 
@@ -99,7 +131,13 @@ def _describe(detail: ErrorDetails, model: type[BaseModel], origin: str) -> str:
     if detail["type"] == "missing":
         return f"{origin}: key '{path}' is missing"
     message = detail["msg"].removeprefix("Value error, ")
-    return f"{origin}: key '{path}': {message[:1].lower()}{message[1:]} (got {detail['input']!r})"
+    return f"{origin}: key '{path}': {message[:1].lower()}{message[1:]} (got {_short(detail)})"
+
+
+def _short(detail: ErrorDetails) -> str:
+    """Return the value that is wrong, as far as it fits into a line."""
+    shown = reprlib.repr(detail["input"])
+    return shown if len(shown) <= _WIDEST else f"{shown[:_WIDEST]}..."
 
 
 def _keys_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:

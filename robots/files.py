@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,6 +33,50 @@ def absolute(path: Path) -> Path:
         return Path(os.path.abspath(path))
     except FileNotFoundError:
         raise InputError(f"{path}: the current directory is gone: change to another one") from None
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """Return what a file holds.
+
+    Parameters
+    ----------
+    path : Path
+        Of a regular file: pipes and devices may never end.
+    most : int
+        Bytes that a file of this kind has at most.
+
+    Raises
+    ------
+    InputError
+        It is not there, no file, too large, or cannot be read; the message names it.
+    """
+    try:
+        # Opening a pipe would wait for somebody to write.
+        number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        with open(number, "rb") as file:
+            about = os.fstat(number)
+            if not stat.S_ISREG(about.st_mode):
+                kind = "a folder" if stat.S_ISDIR(about.st_mode) else "not a file"
+                raise InputError(f"{path}: is {kind}")
+            data = file.read(most + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+    if len(data) > most:
+        raise InputError(f"{path}: is larger than {most / 1e6:g} MB, the most that it may be")
+    return data
+
+
+def read_text(path: Path, most: int) -> str:
+    """Return the text that a UTF-8 file holds (see `read_bytes`)."""
+    try:
+        return read_bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: cannot be read: byte {error.start} is not UTF-8 text") from None
 
 
 def unwritable(what: object, error: OSError | ValueError) -> VisctrlError:

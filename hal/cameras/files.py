@@ -22,7 +22,8 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.cameras.models.unified import UnifiedCamera
 from visctrl.robots.documents import parse_yaml
 from visctrl.robots.errors import InputError
-from visctrl.robots.files import write_text, writing
+from visctrl.robots.files import read_text, write_text, writing
+from visctrl.robots.plain_yaml import MOST_BYTES
 
 Format = Literal["visctrl", "kalibr", "opencv"]
 FORMATS: tuple[Format, ...] = ("visctrl", "kalibr", "opencv")
@@ -47,12 +48,7 @@ def read_camera(path: Path) -> CentralCamera:
         The file is missing or not a calibration, or has what the central model has not (lens
         distortion, another model); the message names the file and the key.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+    text = read_text(path, MOST_BYTES)
     if text.lstrip().startswith("%YAML:1.0") or "!!opencv-matrix" in text:
         return _from_opencv(parse_yaml(_as_plain_yaml(text), str(path)), path)
     data = parse_yaml(text, str(path))

@@ -57,7 +57,7 @@ approach: {enabled: false}
         ("backends: {}", ["unknown key 'backends'"]),
         ("camera: {name: [1]}", ["key 'camera.name'", "string"]),
         ("- a\n- b", ["expected a mapping"]),
-        ("a: [", ["scenario.yaml:1", "not valid YAML"]),
+        ("a: [", ["scenario.yaml:2", "not valid YAML"]),
     ],
 )
 def test_wrong_files_are_explained(scenario: WriteScenario, text: str, words: list[str]) -> None:

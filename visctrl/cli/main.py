@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from visctrl.cli.ending import Program, run_program
 from visctrl.cli.hardware import add_hardware_commands
 from visctrl.cli.images import add_image_commands
 from visctrl.cli.options import OverwriteOption, SharedOption
@@ -17,6 +18,7 @@ _INTERRUPTED = 130
 
 app = typer.Typer(
     name="visctrl",
+    cls=Program,
     help="Drive a wheeled robot to the pose from which a target image was taken.",
     no_args_is_help=True,
     add_completion=False,
@@ -27,15 +29,7 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; errors meant for the user become one message and an exit code."""
     limit_linear_algebra()
-    try:
-        app()
-    except Exception as error:
-        from visctrl.robots.errors import VisctrlError
-
-        if not isinstance(error, VisctrlError):
-            raise
-        print(f"visctrl: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+    sys.exit(run_program(app))
 
 
 def _begin_workers() -> None:

@@ -10,9 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from visctrl.cli.run import RUNS, Place, stem
+from visctrl.cli.run import Place, stem
 from visctrl.robots.errors import InputError
-from visctrl.robots.files import absolute
 from visctrl.runtime.config import Override, load_scenario
 from visctrl.runtime.images import TICK
 from visctrl.runtime.recording import Recording, open_recording
@@ -40,7 +39,6 @@ def replay_images(
     InputError
         Images or options cannot be used.
     """
-    runs = absolute(RUNS)
 
     def rate_hz() -> float:
         known = REGISTRIES.backends.names()
@@ -56,7 +54,7 @@ def replay_images(
     _distinct(source, place.out)
     if not _ticks(recording):
         raise InputError(f"{source}: holds no tick to replay: the run ended before it began")
-    directory = place.claim(runs, stem(f"replay-{plan.perception.name}"))
+    directory = place.claim(stem(f"replay-{plan.perception.name}"))
     console = Console(stderr=True)
     with Progress(console=console, disable=quiet, transient=True) as bar:
         watch = _Watch(bar, bar.add_task("replay", total=_ticks(recording)))

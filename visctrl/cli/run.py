@@ -17,7 +17,6 @@ from rich.console import Console
 from visctrl.cli.overrides import load_for_backend
 from visctrl.cli.progress import Progress
 from visctrl.cli.watching import Watching, watchers
-from visctrl.robots.files import absolute
 from visctrl.runtime.config import Override
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.run_directory import RunDirectory
@@ -41,8 +40,8 @@ class Place:
     overwrite: bool = False
     shared: bool = False
 
-    def claim(self, runs: Path, stem: str) -> RunDirectory:
-        """Return the directory ``out``, or a new one named ``stem`` below ``runs``.
+    def claim(self, stem: str) -> RunDirectory:
+        """Return the directory ``out``, or a new one named ``stem`` below ``runs/``.
 
         Raises
         ------
@@ -50,7 +49,7 @@ class Place:
             It cannot be used.
         """
         if self.out is None:
-            return RunDirectory.numbered(runs, stem, shared=self.shared)
+            return RunDirectory.numbered(RUNS, stem, shared=self.shared)
         return RunDirectory(self.out, overwrite=self.overwrite, shared=self.shared)
 
 
@@ -74,7 +73,6 @@ def run(
     InputError, DiskError
         Something cannot be used; nothing has been started.
     """
-    runs = absolute(RUNS)
     plan = make_plan(load_for_backend(scenario, overrides, flags))
     console = Console(stderr=True)
     with (
@@ -82,7 +80,7 @@ def run(
         watchers(plan, watching) as outside,
         Progress(console, plan, enabled=not quiet) as progress,
     ):
-        directory = place.claim(runs, stem(f"{plan.scenario.backend}-{plan.scenario.scheme}"))
+        directory = place.claim(stem(f"{plan.scenario.backend}-{plan.scenario.scheme}"))
         observers = [progress, *outside.observers]
         outcome = run_with_pictures(
             plan, directory, video=video, mcap=watching.mcap, observers=observers, stop=outside.stop

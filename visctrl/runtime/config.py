@@ -23,6 +23,7 @@ from pydantic import ConfigDict, Field
 from visctrl.hal.types import Pose
 from visctrl.robots.documents import StrictModel, read_yaml, suggestion, validate
 from visctrl.robots.errors import InputError
+from visctrl.robots.plain_yaml import YamlError, load_plain
 
 DEFAULT_SCENARIO = "default"
 
@@ -247,9 +248,9 @@ def parse_setting(text: str) -> Override:
     if not equals or not all(path):
         raise InputError(f"{origin}: expected key=value with a dotted key, as in seed=3")
     try:
-        return Override(path, yaml.safe_load(value), origin)
-    except yaml.YAMLError:
-        raise InputError(f"{origin}: the value '{value}' is not valid YAML") from None
+        return Override(path, load_plain(value), origin)
+    except YamlError as error:
+        raise InputError(f"{origin}: the value '{value}' is not valid YAML: {error}") from None
 
 
 def load_scenario(

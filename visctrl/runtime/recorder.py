@@ -39,6 +39,8 @@ _CORE = (
 WORDS = frozenset({"stage", "phase", "views_health", "estimate_health", "event", "blame"})
 #: Columns that differ between two runs of one seed, after all others.
 TIMING = ("lateness [ms]", "missed", "blame", *(f"{name} [ms]" for name in STAGES[:-1]))
+#: What every log has: between these are the plugins' signals.
+COLUMNS = (*_CORE, *TIMING)
 
 
 class Reporting(Protocol):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
+import os
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -11,19 +13,20 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from visctrl.hal.cameras.central import CentralCamera
+from visctrl.hal.cameras.pictures import Grey, read_grey
 from visctrl.hal.types import STANDSTILL, Frame, Pose, Velocity
 from visctrl.robots.errors import InputError
-from visctrl.runtime.images import CAMERA, HEADER, INDEX, INITIAL, TARGET, TICK
+from visctrl.robots.files import read_text
+from visctrl.runtime.images import CAMERA, INDEX, INITIAL, TARGET, TICK
 from visctrl.runtime.recorder import CONFIG, IMAGES, TICKS
 from visctrl.runtime.target_view import load_target
 
-Grey = NDArray[np.uint8]
-
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
+#: Largest table that is read (bytes).
+MOST_BYTES = 512_000_000
+#: Stages of a run that can be replayed.
+STAGES = ("approach", "main")
 #: Longer numbers in file names are times, which have gaps by nature.
 _MOST_DIGITS = 8
 _NOWHERE = Pose(math.nan, math.nan, math.nan)
@@ -124,24 +127,16 @@ def read_image(path: Path, camera: CentralCamera | None = None) -> Grey:
     InputError
         It is missing, no image, or of another size than the camera's.
     """
-    import cv2
-
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: the image is missing")
-    try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    if image is None:
-        raise InputError(f"{path}: not a readable image")
+    image = read_grey(path)
     if camera is not None and image.shape != (camera.height, camera.width):
         height, width = image.shape
         raise InputError(
             f"{path}: is {width}x{height}, but camera '{camera.name}' takes "
             f"{camera.width}x{camera.height}"
         )
-    return np.asarray(image, dtype=np.uint8)
+    return image
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -156,17 +151,10 @@ def _recorded_run(source: Path, run: Path, target: Path | None) -> Recording:
     shots: list[Shot] = []
     targets: list[Shot] = []
     for row in _rows(folder / INDEX):
-        driven = log.get(row["tick"])
-        if row["role"] == TICK and driven is None:
+        driven = log.get(row.get("tick", ""))
+        if row.get("role") == TICK and driven is None:
             continue  # The log ends before the images do: the run was cut short.
-        shot = Shot(
-            row["role"],
-            int(row["sequence"]),
-            float(row["stamp [s]"]),
-            float(row["age [s]"]),
-            folder / row["file"],
-            driven,
-        )
+        shot = _shot(row, folder, driven)
         (targets if shot.role == TARGET else shots).append(shot)
     if not shots or shots[0].role != INITIAL:
         raise InputError(f"{folder / INDEX}: the run has no initial view: it ended before it began")
@@ -205,36 +193,54 @@ def _frame(shot: Shot) -> Frame:
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
+    """Return the whole rows of a table with their columns' names; a last one cut short is not."""
+    text = io.StringIO(read_text(path, MOST_BYTES), newline="")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-    whole = [row for row in rows if None not in row.values()]
-    if whole and not set(HEADER) <= whole[0].keys():
-        raise InputError(f"{path}: is not a list of recorded images")
-    return whole
+        rows = list(csv.DictReader(text))
+    except csv.Error as error:
+        raise InputError(f"{path}: is not a table: {error}") from None
+    return [row for row in rows if None not in row.values() and None not in row]
+
+
+def _shot(row: dict[str, str], folder: Path, driven: Driven | None) -> Shot:
+    """Return what a row of the index says."""
+    try:
+        role, name = row["role"], row["file"]
+        if role not in (TARGET, INITIAL, TICK) or Path(name).name != name:
+            raise ValueError(f"row {list(row.values())}")
+        stamp, age = _finite(row["stamp [s]"]), _finite(row["age [s]"])
+        return Shot(role, int(row["sequence"]), stamp, age, folder / name, driven)
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{folder / INDEX}: is not a list of recorded images: {error}") from None
 
 
 def _read_log(path: Path) -> dict[str, Driven]:
     """Return what was done in each tick, by its number."""
+    log: dict[str, Driven] = {}
+    before: Driven | None = None
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = [row for row in csv.DictReader(file) if None not in row.values()]
-        log: dict[str, Driven] = {}
-        before: Driven | None = None
-        for row in rows:
+        for row in _rows(path):
             before = log[row["tick"]] = _driven(row, before)
-        return log
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
     except (KeyError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: is not a tick log: {error}") from None
+    return log
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
 
 
 def _driven(row: dict[str, str], before: Driven | None) -> Driven:
     def number(name: str) -> float:
-        return float(row[name])
+        return _finite(row[name])
+
+    if row["stage"] not in STAGES:
+        raise ValueError(f"stage '{row['stage']}'")
 
     truth = row["x_true [m]"] != ""
     return Driven(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,16 +14,29 @@ from numpy.typing import NDArray
 from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Frame, Pose
+from visctrl.robots.documents import StrictModel, parse_json, validate
 from visctrl.robots.errors import InputError
 from visctrl.robots.files import replacing, writing
+from visctrl.runtime.archive import read_archive
 
 #: Raised when what a file holds changes.
 _FORMAT = 1
 _KEYS = ("format", "images", "camera", "facts")
+#: Bytes of the pictures, and of each other part, that are read at most.
+_MOST_PICTURES, _MOST_TEXT = 512_000_000, 1_000_000
 #: Fields of a camera that may differ between teaching and driving.
 _HARMLESS = frozenset({"name"})
 #: Relative difference of calibrations that counts as rounding.
 _ROUNDING = 1e-9
+
+
+class _Facts(StrictModel):
+    """What the file says of the view besides its camera (see `TargetView`)."""
+
+    odometry: tuple[float, float, float] | None
+    backend: str
+    robot: str
+    taken: str
 
 
 @dataclass(frozen=True)
@@ -106,37 +118,26 @@ def load_target(path: Path) -> TargetView:
     InputError
         There is no such file, or it holds no target view.
     """
-    content = _read(path)
-    if any(key not in content for key in _KEYS) or int(content["format"]) != _FORMAT:
+    content = read_archive(path, {**dict.fromkeys(_KEYS, _MOST_TEXT), "images": _MOST_PICTURES})
+    if content.keys() != set(_KEYS) or content["format"].tolist() != _FORMAT:
         raise InputError(f"{path}: not a target view of this version: teach it again")
     images = content["images"]
-    if images.ndim != 3 or images.dtype != np.uint8 or len(images) == 0:
+    if images.ndim != 3 or images.dtype != np.uint8 or images.size == 0:
         raise InputError(f"{path}: expected 8-bit grey images, found {images.dtype} {images.shape}")
-    camera = parse_camera(json.loads(str(content["camera"])), f"{path}: camera")
+    camera = parse_camera(_json(content["camera"], f"{path}: camera"), f"{path}: camera")
+    facts = validate(_json(content["facts"], f"{path}: facts"), _Facts, f"{path}: facts")
     if images.shape[1:] != (camera.height, camera.width):
         raise InputError(f"{path}: its images do not have the size of its camera")
-    facts = json.loads(str(content["facts"]))
-    odometry = facts["odometry"]
-    return TargetView(
-        images=images,
-        camera=camera,
-        odometry=None if odometry is None else Pose(*odometry),
-        backend=facts["backend"],
-        robot=facts["robot"],
-        taken=facts["taken"],
-    )
+    odometry = None if facts.odometry is None else Pose(*facts.odometry)
+    return TargetView(images, camera, odometry, facts.backend, facts.robot, facts.taken)
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; `visctrl teach -o {path}` makes one") from None
-    except (OSError, ValueError, zipfile.BadZipFile, AttributeError):
-        raise InputError(
-            f"{path}: not a target view (expected a file made by `visctrl teach`)"
-        ) from None
+def _json(content: NDArray[Any], origin: str) -> dict[str, Any]:
+    """Return the mapping that a JSON text in an archive holds."""
+    found = parse_json(str(content), origin)
+    if not isinstance(found, dict):
+        raise InputError(f"{origin}: expected a mapping of keys, found {type(found).__name__}")
+    return found
 
 
 def _same(a: object, b: object) -> bool:

@@ -9,10 +9,14 @@ from importlib import resources
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 import visctrl
+from visctrl.robots.errors import InputError
+from visctrl.robots.files import read_bytes
 
 _JPEG_QUALITY = 82
+_MOST_BYTES = 64_000_000
 
 
 def page(title: str, body: str) -> str:
@@ -73,7 +77,11 @@ def verdict(status: str) -> str:
 
 def picture(file: Path, caption: str) -> str:
     """Return a ``<figure>`` that holds a picture; empty where there is none."""
-    image = cv2.imread(str(file)) if file.exists() else None
+    try:
+        data = np.frombuffer(read_bytes(file, _MOST_BYTES), dtype=np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    except (InputError, cv2.error):
+        return ""
     if image is None:
         return ""
     ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
+import os
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,9 +16,10 @@ import numpy as np
 from visctrl.contracts import Array
 from visctrl.hal.types import Pose
 from visctrl.robots import load_robot
-from visctrl.robots.documents import read_yaml
+from visctrl.robots.documents import read_json, read_yaml, validate
 from visctrl.robots.errors import InputError
-from visctrl.robots.files import write_text, writing
+from visctrl.robots.files import read_bytes, write_text, writing
+from visctrl.robots.plain_yaml import MOST_BYTES
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.recorder import (
     CONFIG,
@@ -31,6 +32,7 @@ from visctrl.runtime.recorder import (
     TICKS,
     VIDEO,
 )
+from visctrl.viewers.report.outcome import Driven, Outcome, Settings
 from visctrl.viewers.report.page import download, page, picture, section, tiles, verdict
 from visctrl.viewers.report.panels import (
     Span,
@@ -90,7 +92,7 @@ class RunFiles:
                 for provider in self.config["obstacles"]
                 for disc in provider.get("discs", ())
             ]
-        except (KeyError, TypeError, AttributeError):
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
             return []
         return shapes
 
@@ -110,14 +112,15 @@ def read_run(directory: Path) -> RunFiles:
     ticks = read_ticks(directory / TICKS)
     config = read_yaml(directory / CONFIG)
     path = directory / SUMMARY
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file: has the run ended?") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+    if not os.path.lexists(path):
+        raise InputError(f"{path}: no such file: has the run ended?")
+    summary = read_json(path)
     if not isinstance(summary, dict) or "status" not in summary:
         raise InputError(f"{path}: is not the summary of a run")
+    validate(summary, Outcome, str(path))
+    if "path_length_m" in summary:
+        validate(summary, Driven, str(path))
+    validate(config, Settings, str(directory / CONFIG))
     return RunFiles(directory, config, summary, ticks)
 
 
@@ -264,9 +267,9 @@ def _events(ticks: Ticks) -> str:
 
 def _fault(directory: Path) -> str:
     path = directory / FAULT
-    if not path.exists():
+    if not path.is_file():
         return ""
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_bytes(path, MOST_BYTES).decode(errors="replace")
     return section("The fault", f"<pre>{escape(text)}</pre>")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,14 @@ import numpy as np
 
 from visctrl.contracts import Array
 from visctrl.robots.errors import InputError
-from visctrl.runtime.recorder import WORDS
+from visctrl.robots.files import read_text
+from visctrl.runtime.recorder import COLUMNS, WORDS
+
+#: Largest log that is read: a day at 10 Hz (bytes).
+MOST_BYTES = 512_000_000
+#: What every log has, by name without unit.
+_NEEDED = tuple(title.partition(" [")[0] for title in COLUMNS)
+_GREATEST = 1e100
 
 
 @dataclass(frozen=True)
@@ -57,10 +65,9 @@ def read_ticks(path: Path) -> Ticks:
         There is no such file, or it is not one of ours.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            header, *rows = list(csv.reader(file)) or [[]]
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+        header, *rows = list(csv.reader(io.StringIO(read_text(path, MOST_BYTES), ""))) or [[]]
+    except csv.Error as error:
+        raise InputError(f"{path}: is not a tick log: {error}") from None
     whole = [row for row in rows if len(row) == len(header)]
     columns = list(zip(*whole, strict=True)) or [() for _ in header]
     numbers: dict[str, Array] = {}
@@ -73,13 +80,20 @@ def read_ticks(path: Path) -> Ticks:
         else:
             numbers[name] = _as_numbers(cells, path)
             units[name] = unit.rstrip("]")
-    if "t" not in numbers or "stage" not in words:
-        raise InputError(f"{path}: is not a tick log")
+    missing = [name for name in _NEEDED if name not in numbers and name not in words]
+    if missing or len(numbers) + len(words) != len(header):
+        what = f"column '{missing[0]}' is missing" if missing else "a column stands there twice"
+        raise InputError(f"{path}: is not a tick log: {what}")
+    t = numbers["t"]
+    if not (np.isfinite(t).all() and (np.diff(t) >= 0.0).all()):
+        raise InputError(f"{path}: is not a tick log: its times do not go forward")
     return Ticks(numbers, words, units)
 
 
 def _as_numbers(cells: Sequence[str], path: Path) -> Array:
     try:
-        return np.array([float(cell or "nan") for cell in cells])
+        found = np.array([float(cell or "nan") for cell in cells])
     except ValueError as error:
         raise InputError(f"{path}: is not a tick log: {error}") from None
+    # Numbers that no picture can show are as good as none.
+    return np.where(np.abs(found) < _GREATEST, found, np.nan)
