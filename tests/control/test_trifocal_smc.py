@@ -46,6 +46,16 @@ def test_published_starts_with_phi_1_set_to_zero(start):
     assert outcome.heading_deg < 0.1
 
 
+@pytest.mark.parametrize("told_deg", [-30.0, 30.0])
+def test_a_wrong_heading_of_the_start_does_no_harm(told_deg):
+    """φ1 may be fixed anywhere between −30 and 30 deg (p. 60); `reproduce phi-1` takes them all."""
+    told = TensorOptions(phi_1="given", phi_1_deg=told_deg)
+    outcome = Loop(TABLE_3_1[0], IDEAL, LARGE).drive(told, TAU_100, 130.0)
+    assert outcome.finished
+    assert outcome.position < 1e-3
+    assert outcome.heading_deg < 0.05
+
+
 @pytest.mark.parametrize("start", TABLE_3_1[::3])
 def test_published_starts_with_one_pixel_of_noise(start):
     outcome = Loop(start, MockOptions(ideal=True, noise_px=1.0), LARGE).drive(

@@ -38,6 +38,16 @@ def test_published_starts(start, phi_1):
     assert outcome.heading_deg < 0.05
 
 
+@pytest.mark.parametrize("told_deg", [-30.0, 30.0])
+def test_a_wrong_heading_of_the_start_does_no_harm(told_deg):
+    """φ1 may be fixed anywhere between −30 and 30 deg (p. 60): it is an assumption then."""
+    told = TensorOptions(phi_1="given", phi_1_deg=told_deg)
+    outcome = drive(Loop((5.0, -5.0, 45.0), IDEAL, LARGE), told)
+    assert outcome.finished
+    assert outcome.position < 2e-3
+    assert outcome.heading_deg < 0.05
+
+
 def test_it_arrives_with_the_target_s_heading():
     """In the last 5 cm the heading is already the target's: nothing is left to turn."""
     outcome = drive(Loop(START, IDEAL, LARGE))

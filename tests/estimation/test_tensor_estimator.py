@@ -87,6 +87,15 @@ def test_a_given_scale_and_heading_are_taken():
     assert follow(estimator(phi_1="zero"), Drive(START), 5).phi_1 == 0.0
 
 
+def test_a_heading_that_is_told_is_known_where_the_views_bear_it_out():
+    true = START[2]
+    for told, known in ((true, True), (true + math.radians(10.0), False)):
+        seen = follow(estimator(phi_1="given", phi_1_deg=math.degrees(told)), Drive(START), 5)
+        assert seen.phi_1 == pytest.approx(told)
+        assert (seen.phi_1_sd == 0.0) is known
+        assert math.isfinite(seen.phi_1_sd) is known
+
+
 @pytest.mark.parametrize("method", ["constrained", "refined"])
 def test_covariance_is_consistent(method):
     """Normalised squared errors are χ²: their median per unknown is 0.87 for five."""

@@ -22,6 +22,10 @@ from visctrl.schemes.trifocal.estimate import TensorEstimate
 from visctrl.schemes.trifocal.linear_fit import LinearFit
 from visctrl.schemes.trifocal.tensor_method import Measurement, TensorMethod, TensorOptions
 
+#: A φ1 that was told and differs from the views' own by more than so many of its deviations and
+#: so much besides (rad) is an assumption, which no law may rely on.
+DISAGREEMENT_SIGMAS, DISAGREEMENT_RAD = 5.0, math.radians(2.0)
+
 _ELEMENT_SDS = tuple(f"{name}_sd" for name in ELEMENTS)
 _SIGNALS = (
     *(Signal(name, "1") for name in (*ELEMENTS, *_ELEMENT_SDS)),
@@ -58,6 +62,8 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
         """Forget everything: a new initial view has been taken here."""
         self._method = self._new_method()
         self._last = _nothing(self.options)
+        # Whether the views bear out the φ1 that was told; None before they are seen.
+        self._confirmed: bool | None = None
         self._measurement: Measurement | None = None
 
     def update(self, views: Views, sent: Velocity, dt: float) -> TensorEstimate:
@@ -119,11 +125,15 @@ class Tensor(Estimator[TensorOptions, TensorEstimate]):
 
     def _phi_1(self, measured: Measurement) -> tuple[float, float]:
         """Return the law's φ1 and its standard deviation (rad)."""
-        if self.options.phi_1 == "given":
-            return math.radians(self.options.phi_1_deg), 0.0
-        if self.options.phi_1 == "zero":
-            return 0.0, math.inf
-        return measured.phi_1, measured.phi_1_sd
+        if self.options.phi_1 == "estimated":
+            return measured.phi_1, measured.phi_1_sd
+        told = math.radians(self.options.phi_1_deg) if self.options.phi_1 == "given" else 0.0
+        if self._confirmed is None:
+            off = abs(math.remainder(told - measured.phi_1, math.tau))
+            within = off <= DISAGREEMENT_SIGMAS * measured.phi_1_sd + DISAGREEMENT_RAD
+            known = math.isfinite(measured.phi_1_sd)
+            self._confirmed = self.options.phi_1 == "given" and known and within
+        return told, 0.0 if self._confirmed else math.inf
 
     def _scale(self, measured: Measurement) -> tuple[float, float]:
         """Return T121 in metres and its standard deviation."""

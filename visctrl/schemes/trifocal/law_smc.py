@@ -14,6 +14,7 @@ from visctrl.robots import Limits
 from visctrl.schemes.sliding_mode import CosineDescent
 from visctrl.schemes.termination import Arrival, ArrivalOptions, Divergence, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
+from visctrl.schemes.trifocal.initial_heading import InitialHeading
 from visctrl.schemes.trifocal.law import (
     Gains,
     Outputs,
@@ -53,7 +54,7 @@ class TrifocalSmcOptions(ArrivalOptions):
     tau_s : duration of step 1; from the distance and the speed limit if left out.
     advance_m, advance_m_s : the straight leg that determines and scales the tensor.
     lateral_power : the lateral reference is the forward one to this power; 1 as published, 3 by
-        ``practical`` where φ1 is known.
+        ``practical``, which reads a φ1 that is only assumed off the straight leg.
     finish : step 2 ends by ``threshold`` (position and heading within tolerance, standing) or
         by ``time`` (after ``orientation_s``, 6/λω if left out).
     """
@@ -106,6 +107,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         self._advanced = 0.0
         self._arrival = Arrival(options)
         self._divergence = Divergence(ASTRAY, LEEWAY_M)
+        self._initial_heading = InitialHeading()
         self._values: dict[str, float] = {}
         self._progress = self._waited = 0.0
 
@@ -114,10 +116,12 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         self._values = {}
         if estimate.health is Health.LOST:
             return self._hold()
+        known = estimate if self._published else self._initial_heading.known(estimate)
         if self._phase == "advance" and not self._starts_there(estimate):
-            decision = self._advance(estimate, sent, dt)
+            decision = self._advance(known, sent, dt)
             if decision is not None:
                 return decision
+        estimate = known or estimate
         if estimate.health is not Health.OK:
             return self._hold()
         seen = TrifocalState.of(estimate, self.context.camera_forward_m)
@@ -151,8 +155,15 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
             self._phase = "orientation"
         return there
 
-    def _advance(self, estimate: TensorEstimate, sent: Velocity, dt: float) -> Decision | None:
-        """Return the next command of the straight leg, None when it is done."""
+    def _advance(
+        self, estimate: TensorEstimate | None, sent: Velocity, dt: float
+    ) -> Decision | None:
+        """Return the next command of the straight leg, None when it is done.
+
+        estimate : None while φ1 has still to be read off the leg.
+        """
+        if estimate is None:
+            return Decision(Velocity(self.options.advance_m_s, 0.0), self._phase)
         self._advanced += sent.v * dt
         left = self.options.advance_m - self._advanced
         if left <= 1e-9 and estimate.health is Health.OK:
@@ -167,9 +178,7 @@ class TrifocalSmc(Controller[TrifocalSmcOptions, TensorEstimate]):
         self._progress = self._waited = 0.0
         self._arrival.restart()
         self._from = (seen.right, seen.forward)
-        # Without φ1 nobody knows which output is the lateral one: both then fall alike.
-        alike = self._published or not math.isfinite(seen.phi_1_sd)
-        self._power = self.options.lateral_power or (1.0 if alike else 3.0)
+        self._power = self.options.lateral_power or (1.0 if self._published else 3.0)
         away = math.hypot(*self._from)
         self._divergence.begin(away)
         self._reference = descent(

@@ -11,15 +11,14 @@ so that neither is singular at the target, and nothing is left to turn there: wi
 calibration the bearings of a robot that stands on the target and heads elsewhere are not those
 of the target view, and its position looks wrong.
 
-The law needs φ1, which the outputs are turned by. Where the estimate takes it to be 0, it is
-read off the tensor's own change on a straight leg.
+The law needs φ1, which the outputs are turned by. Where the estimate only assumes it, it is read
+off the tensor's own change on a straight leg.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -29,6 +28,7 @@ from visctrl.contracts import Context, Controller, Decision, Estimate, Health, S
 from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.schemes.termination import Arrival, ArrivalOptions, Divergence, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
+from visctrl.schemes.trifocal.initial_heading import InitialHeading
 from visctrl.schemes.trifocal.law import TrifocalState
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -45,8 +45,6 @@ _LONGEST_WAIT_M = 0.5
 _BLIND_LEG_M = 0.4
 #: A start this near to the target, in units of T_N, leaves only a turn to do.
 _THERE = 1e-3
-#: φ1 is read off a straight leg of this share of the initial distance.
-_PHI_1_LEG = 0.1
 #: Distances below this (m), or so many standard deviations of the lateral position, steer as if
 #: they were longer: what is noise or the camera's error there must not turn the robot, whose
 #: turning would be seen as more of it.
@@ -98,8 +96,7 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
         self._blind = 0.0
         self._driven = 0.0
         self._divergence = Divergence(_ASTRAY, _LEEWAY_M)
-        self._leg_start: tuple[float, float] | None = None
-        self._phi_1: float | None = None
+        self._initial_heading = InitialHeading()
         self._values: dict[str, float] = {}
 
     def update(self, estimate: TensorEstimate, sent: Velocity, dt: float) -> Decision:
@@ -110,10 +107,10 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
         if estimate.health is not Health.OK:
             return Decision(STANDSTILL, self._phase)
         self._driven += abs(sent.v) * dt
-        if not math.isfinite(estimate.phi_1_sd):
-            estimate, ready = self._with_phi_1(estimate)
-            if not ready:
-                return Decision(Velocity(_BLIND_SPEED, 0.0), "advance")
+        known_view = self._initial_heading.known(estimate)
+        if known_view is None:
+            return Decision(Velocity(_BLIND_SPEED, 0.0), "advance")
+        estimate = known_view
         seen = TrifocalState.of(estimate, self.context.camera_forward_m)
         distance = seen.scale * math.hypot(seen.right, seen.forward)
         sure = estimate.scale_sd_m < _KNOWN_SCALE * seen.scale
@@ -145,20 +142,6 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
         if self._blind >= _BLIND_LEG_M:
             return Decision(STANDSTILL, self._phase)
         return Decision(Velocity(_BLIND_SPEED, 0.0), self._phase)
-
-    def _with_phi_1(self, estimate: TensorEstimate) -> tuple[TensorEstimate, bool]:
-        """Return the estimate with φ1 as the tensor itself shows it, once the leg is long enough.
-
-        On a straight leg ξ1 falls with cos φ1 and ξ2 grows with sin φ1 (3.5).
-        """
-        xi_1, xi_2 = (float(xi) for xi in estimate.outputs)
-        if self._phi_1 is None:
-            self._leg_start = self._leg_start or (xi_1, xi_2)
-            fallen, grown = self._leg_start[0] - xi_1, xi_2 - self._leg_start[1]
-            if math.hypot(fallen, grown) < _PHI_1_LEG * math.hypot(*self._leg_start):
-                return estimate, False
-            self._phi_1 = math.atan2(grown, fallen)
-        return replace(estimate, phi_1=self._phi_1), True
 
     def _approach(self, seen: TrifocalState, known: bool) -> Velocity:
         options = self.options

@@ -119,7 +119,7 @@ class LinearFit(TensorMethod):
 
     def _initial_heading(self, views: Views) -> tuple[float, float]:
         """Return φ1 and its sd (rad) from initial and target view, 0 where they do not tell."""
-        if self.options.phi_1 != "estimated":
+        if self.options.phi_1 == "zero":
             return 0.0, math.inf
         motion = ransac_planar_motion(
             views.initial, views.target, views.sigma, seed=self.context.seed

@@ -27,7 +27,8 @@ class TensorOptions(StrictModel):
     elevations : use how high features are seen to find the initial view at once, before the
         robot moves. Without it (or where features are level with the camera) bearings find it
         after some of the way; they do not need ξ or the focal length.
-    phi_1 : where the law's φ1 comes from: the initial and target views, 0, or ``phi_1_deg``.
+    phi_1 : where the law's φ1 comes from: the initial and target views, 0, or ``phi_1_deg``. What
+        is told counts as known where the views bear it out, and as an assumption where not.
     scale : metric value of T121 from what the robot was told to drive, or ``scale_m``.
     scale_m : the value while nothing better is known (``odometry``) or for good (``given``).
     min_features : fewer than this are no view.
