@@ -235,11 +235,13 @@ class Site:
         personality: Personality = ARCOS,
         seed: int = 0,
         surroundings: World | None = None,
+        *,
+        notices_hang_up: bool = False,
     ) -> Emulator:
         """Switch a robot on; its port is in ``url``."""
         line = self.ports.lines[url] = Line(self.world, url)
         firmware = Firmware(profile(emulated(subclass), personality), world=surroundings)
-        emulator = Emulator(firmware, line.port(), seed=seed)
+        emulator = Emulator(firmware, line.port(), seed=seed, notices_hang_up=notices_hang_up)
         emulator.__enter__()
         self.robots.append(emulator)
         return emulator

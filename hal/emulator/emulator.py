@@ -42,6 +42,9 @@ class Emulator:
         Where to record what is received.
     seed : int
         Of the damage to bytes.
+    notices_hang_up : bool
+        Whether the robot stops at once when a TCP client hangs up, as the vendor's simulator
+        does. A robot behind a serial device server does not notice: its watchdog acts.
     companion : callable or None
         Called with the robot's true pose at every look at the line (some hundred times a
         second), for devices that ride on it.
@@ -54,6 +57,8 @@ class Emulator:
         faults: FaultSchedule | None = None,
         traffic: Traffic | None = None,
         seed: int = 0,
+        *,
+        notices_hang_up: bool = False,
         companion: Callable[[Pose], None] | None = None,
     ) -> None:
         self.url = port.url
@@ -61,6 +66,7 @@ class Emulator:
         self.traffic = traffic or Traffic()
         self._firmware = firmware
         self._port = port
+        self._notices_hang_up = notices_hang_up
         self._companion = companion
         self._to_robot = Channel(self.faults, seed)
         self._to_client = Channel(self.faults, seed + 1)
@@ -140,7 +146,7 @@ class Emulator:
         """Take what has arrived, live on until ``t`` (s), send what is due."""
         self._apply_faults()
         self._to_robot.put(t, self._port.read())
-        if self._port.lost_client():
+        if self._port.lost_client() and self._notices_hang_up:
             self._firmware.hang_up()
             self._to_robot.clear()
             self._to_client.clear()

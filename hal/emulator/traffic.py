@@ -7,7 +7,7 @@ import threading
 from dataclasses import dataclass
 from typing import TextIO
 
-from visctrl.hal.pioneer.commands import Command, decode_command
+from visctrl.hal.pioneer.commands import Command, decode_command, objection
 from visctrl.hal.pioneer.packet import Packet
 
 #: Commands must not follow each other more closely (s).
@@ -69,19 +69,15 @@ class Traffic:
     def violations(self) -> list[str]:
         """Return what was not legal, as sentences; empty for a correct client.
 
-        Each packet must be a known command with the kind of argument that it takes, encoded as
-        the manual says; nothing may come in between, and no two commands closer together than
-        the firmware can take them.
+        Each packet must be a command that the firmware takes, whoever sends it; nothing may come
+        in between, and no two commands closer together than the firmware can take them.
         """
         found = [f"{self.garbage} bytes outside packets"] if self.garbage else []
         arrival = float("-inf")
         for entry in self.entries:
-            command = decode_command(entry.packet)
-            at = f"at {entry.latest:.3f} s: {command}"
-            if not command.legal:
-                found.append(f"{at} is not a legal command")
-            elif command.packet() != entry.packet:
-                found.append(f"{at} is not encoded as the manual says")
+            at = f"at {entry.latest:.3f} s: {decode_command(entry.packet)}"
+            if problem := objection(entry.packet):
+                found.append(f"{at} {problem}")
             # The earliest arrivals that fit what was seen; if even those are too late, so were
             # the true ones too close.
             arrival = max(arrival + LEAST_SPACING_S, entry.earliest)

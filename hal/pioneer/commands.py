@@ -40,23 +40,50 @@ class Id(IntEnum):
     RVEL = 21
     DCHEAD = 22
     SETRA = 23
+    SHUTDOWN = 25
     SONAR = 28
     STOP = 29
     DIGOUT = 30
     VEL2 = 32
+    GRIPPER = 33
+    ADSEL = 35
+    GRIPPERVAL = 36
+    GRIPREQUEST = 37
+    GYROCALCW = 38
+    GYROCALCCW = 39
     IOREQUEST = 40
     TTY2 = 42
+    GETAUX = 43
     BUMPSTALL = 44
+    TCM2 = 45
     JOYDRIVE = 47
     SONARCYCLE = 48
+    MOVINGBLINK = 49
     HOSTBAUD = 50
+    AUX1BAUD = 51
+    AUX2BAUD = 52
+    AUX3BAUD = 53
     E_STOP = 55
     E_STALL = 56
     GYRO = 58
+    TTY4 = 60
+    GETAUX3 = 61
     BATTERYINFO = 62
+    TTY3 = 66
+    GETAUX2 = 67
+    ROTKP = 82
+    ROTKV = 83
+    ROTKI = 84
+    TRANSKP = 85
+    TRANSKV = 86
+    TRANSKI = 87
     REVCOUNT = 88
     DRIFTFACTOR = 89
+    SOUNDTOG = 92
     TICKSMM = 93
+    LATVEL = 110
+    LATACCEL = 113
+    BATTEST = 250
     RESET = 253
     MAINTENANCE = 255
 
@@ -65,8 +92,9 @@ class Id(IntEnum):
 FORBIDDEN = frozenset({Id.RESET, Id.MAINTENANCE})
 
 _KNOWN = frozenset(Id)
+#: Commands without an argument; the firmware passes over one that comes all the same.
 _BARE = frozenset({Id.PULSE, Id.OPEN, Id.CLOSE, Id.SETO, Id.CONFIG, Id.STOP, Id.E_STOP})
-_STRINGS = frozenset({Id.POLLING, Id.SAY, Id.TTY2})
+_STRINGS = frozenset({Id.POLLING, Id.SAY, Id.TTY2, Id.TTY3, Id.TTY4})
 _UNSIGNED = frozenset({Id.ENABLE, Id.SETV, Id.SETRV, Id.SONAR, Id.ENCODER, Id.IOREQUEST})
 
 
@@ -96,22 +124,34 @@ class Command:
         """Return the command's bytes on the wire (see `packet`)."""
         return self.packet().encode()
 
-    @property
-    def legal(self) -> bool:
-        """Whether the manual knows this command with this kind of argument."""
-        if self.id in FORBIDDEN or self.id not in _KNOWN:
-            return False
-        if self.id in _BARE:
-            return self.argument is None
-        if self.id in _STRINGS:
-            return isinstance(self.argument, bytes)
-        if not isinstance(self.argument, int):
-            return False
-        return self.argument >= 0 or self.id not in _UNSIGNED
-
     def __str__(self) -> str:
         name = Id(self.id).name if self.id in _KNOWN else f"command {self.id}"
         return name if self.argument is None else f"{name} {self.argument!r}"
+
+
+def objection(packet: Packet) -> str:
+    """Return why a packet is no legal command; empty if it is one.
+
+    Legal is what the manual knows and what firmware is known to take from other makers' clients:
+    an integer, or a lone type byte, behind a command that has no argument.
+    """
+    command = decode_command(packet)
+    if packet.id in FORBIDDEN or packet.id not in _KNOWN:
+        return "is not a legal command"
+    argument, encoded = command.argument, packet.data
+    if packet.id in _BARE:
+        lone = len(encoded) == 1 and encoded[0] in (POSITIVE, NEGATIVE)
+        legal = argument is None or isinstance(argument, int)
+        exact = lone or encoded == _encode_argument(argument)
+    elif packet.id in _STRINGS:
+        legal, exact = isinstance(argument, bytes), encoded == _encode_argument(argument)
+    else:
+        legal = isinstance(argument, int) and (argument >= 0 or packet.id not in _UNSIGNED)
+        # Zero has no sign.
+        exact = encoded in (_encode_argument(argument), bytes([NEGATIVE, 0, 0]))
+    if not legal:
+        return "is not a legal command"
+    return "" if exact else "is not encoded as the manual says"
 
 
 def decode_command(packet: Packet) -> Command:

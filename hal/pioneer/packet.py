@@ -66,19 +66,24 @@ class StreamDecoder:
     is a possible beginning, and the first whose count and checksum agree is taken. So a header
     in garbage, whatever its count, can neither swallow a packet nor make it wait, and the
     result does not depend on how the bytes were cut into pieces.
+
+    The end of a packet may be the beginning of the next one's header: garbage before a packet
+    can, with the first bytes of that, make a false one whose checksum fits (``FA FB 03 FA 00``
+    does, before any packet).
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._offset = 0  # of the buffer's first byte in the stream
+        self._shared = 0  # bytes in front that already belong to a packet
         self._arrivals: deque[tuple[int, float]] = deque()
         #: Bytes so far that belong to no packet (those still undecided not counted).
         self.discarded = 0
 
     @property
     def pending(self) -> int:
-        """Bytes that may still become part of a packet."""
-        return len(self._buffer)
+        """Bytes of no packet so far that may still become part of one."""
+        return len(self._buffer) - self._shared
 
     @property
     def wanted(self) -> int:
@@ -86,9 +91,11 @@ class StreamDecoder:
 
         With nothing pending it is one, so that the stamp of a packet is that of its first byte.
         """
+        if not self.pending:
+            return 1
         have = len(self._buffer)
         missing = [end - have for _, end in self._candidates() if end > have]
-        begun = have - self._first_begun()
+        begun = have - self._first_begun(have)
         if begun:
             missing.append(OVERHEAD - begun)
         return min(missing, default=1)
@@ -103,10 +110,12 @@ class StreamDecoder:
                 first, end = found
                 body = bytes(self._buffer[first + 3 : end - 2])
                 packets.append(Packet(body[0], body[1:], self._arrival(first)))
-                self.discarded += first
-                self._drop(end)
+                self.discarded += max(0, first - self._shared)
+                begun = self._first_begun(end)
+                self._drop(begun)
+                self._shared = end - begun
             keep = self._first_open()
-            self.discarded += keep
+            self.discarded += max(0, keep - self._shared)
             self._drop(keep)
         return packets
 
@@ -137,14 +146,13 @@ class StreamDecoder:
         for first, end in self._candidates():
             if end > have:
                 return first
-        return self._first_begun()
+        return self._first_begun(have)
 
-    def _first_begun(self) -> int:
-        """Return where a header begins whose count byte is still to come, or the end."""
-        have = len(self._buffer)
-        if self._buffer[-2:] == HEADER:
-            return have - 2
-        return have - 1 if self._buffer[-1:] == HEADER[:1] else have
+    def _first_begun(self, end: int) -> int:
+        """Return where a header begins that ``end`` cuts before its count byte, or ``end``."""
+        if self._buffer[max(0, end - 2) : end] == HEADER:
+            return end - 2
+        return end - 1 if self._buffer[end - 1 : end] == HEADER[:1] else end
 
     def _arrival(self, first: int) -> float:
         position = self._offset + first
@@ -155,5 +163,6 @@ class StreamDecoder:
     def _drop(self, count: int) -> None:
         del self._buffer[:count]
         self._offset += count
+        self._shared = max(0, self._shared - count)
         while len(self._arrivals) > 1 and self._arrivals[1][0] <= self._offset:
             self._arrivals.popleft()

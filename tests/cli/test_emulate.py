@@ -81,6 +81,7 @@ def test_emulator_serves_a_driver_and_keeps_a_log(tmp_path: Path) -> None:
         (["--fault", "reset=3"], "between 254 and 255"),
         (["--port", "serial"], "expected pty, socket or socket:PORT"),
         (["--fault", "stal@3"], "did you mean 'stall'"),
+        (["--hang-up", "brake"], "unknown hang-up 'brake'; known: stop, watchdog"),
         (["--personality", "x"], "unknown personality 'x'; known: arcos, simulator"),
         (["--camera", "nothing"], "unknown camera 'nothing'"),
         (["--scene", "nothing", "--camera", "none"], "unknown scene 'nothing'"),

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from visctrl.hal.pioneer.commands import Command, Id, decode_command, vel2_wheels
+from visctrl.hal.pioneer.commands import Command, Id, decode_command, objection, vel2_wheels
 from visctrl.hal.pioneer.config import UNLIMITED, decode_config
 from visctrl.hal.pioneer.packet import HEADER, Packet, StreamDecoder, checksum
 from visctrl.hal.pioneer.reports import (
@@ -199,20 +199,78 @@ def test_both_encodings_of_wheel_speeds_agree(left: int, right: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "legal"),
+    ("number", "data", "says"),
     [
-        (Command(Id.VEL, -200), True),
-        (Command(Id.VEL), False),
-        (Command(Id.ENABLE, -1), False),
-        (Command(Id.PULSE), True),
-        (Command(Id.OPEN, 1), False),
-        (Command(Id.SAY, b"\x19\x3c"), True),
-        (Command(200, 1), False),
-        (Command(Id.RESET), False),
+        (Id.VEL, "1bc800", ""),
+        (Id.VEL, "", "no legal"),
+        (Id.VEL, "3b38ff00", "encoded"),
+        (Id.VEL, "1b0000", ""),
+        (Id.ENABLE, "1b0100", "no legal"),
+        (Id.PULSE, "", ""),
+        (Id.OPEN, "3b0100", ""),  # ARIA
+        (Id.CONFIG, "3b0100", ""),  # ARIA
+        (Id.SETO, "3b", ""),  # Player
+        (Id.SETO, "2b0141", "no legal"),
+        (Id.GRIPPERVAL, "3b0500", ""),
+        (Id.GRIPREQUEST, "3b0100", ""),
+        (Id.SOUNDTOG, "3b0000", ""),
+        (Id.VEL2, "3bf9f9", ""),  # Player: sixteen bits as they are
+        (Id.VEL2, "1bf604", ""),  # ARIA: a magnitude with its sign in the type
+        (Id.SAY, "2b02193c", ""),
+        (Id.SAY, "2b03193c", "encoded"),
+        (200, "3b0100", "no legal"),
+        (Id.RESET, "", "no legal"),
     ],
 )
-def test_legality(command: Command, legal: bool) -> None:
-    assert command.legal is legal
+def test_legality(number: int, data: str, says: str) -> None:
+    found = objection(Packet(number, bytes.fromhex(data)))
+    assert found == {"": "", "no legal": "is not a legal command"}.get(
+        says, "is not encoded as the manual says"
+    )
+
+
+@pytest.mark.parametrize("session", ["aria", "soar"])
+def test_what_other_makers_clients_send_is_legal(session: str) -> None:
+    lines = (DATA / f"{session}_session.jsonl").read_text().splitlines()
+    sent = [json.loads(line) for line in lines]
+    wire = b"".join(bytes.fromhex(line["hex"]) for line in sent if line["dir"] == "c2s")
+    packets = StreamDecoder().feed(wire)
+    assert len(packets) > 20
+    # Commands to the simulator about itself are none of the firmware's.
+    assert {packet.id for packet in packets if objection(packet)} <= {224, 225, 237}
+
+
+FALSE_START = bytes.fromhex("fafb03fa00")
+
+
+@given(
+    st.sampled_from([FALSE_START, FALSE_START * 2, FALSE_START + b"\xfa", b"\xfa", b"\xfa\xfb"]),
+    st.integers(0, 255),
+    st.binary(max_size=20),
+)
+def test_a_false_packet_does_not_cost_the_one_behind_it(
+    garbage: bytes, number: int, data: bytes
+) -> None:
+    packet = Packet(number, data)
+    assert StreamDecoder().feed(garbage + packet.encode())[-1] == packet
+    decoder = StreamDecoder()
+    found = [each for byte in garbage + packet.encode() for each in decoder.feed(bytes([byte]))]
+    assert found[-1] == packet
+    assert decoder.pending <= 2
+
+
+@given(st.binary(max_size=6), st.integers(0, 255), st.binary(max_size=6))
+def test_garbage_that_ends_in_a_header_costs_nothing(body: bytes, number: int, data: bytes) -> None:
+    """A false packet made of garbage and the first two bytes of a header, checksum included."""
+    wanted = int.from_bytes(HEADER, "big")
+    # One pair of bytes makes the checksum of all of them what the header's bytes are.
+    even = body[: len(body) // 2 * 2]
+    pair = (wanted - checksum(even)) & 0xFFFF
+    fake = even + pair.to_bytes(2, "big")
+    assert checksum(fake) == wanted
+    garbage = HEADER + bytes([len(fake) + 2]) + fake
+    packet = Packet(number, data)
+    assert StreamDecoder().feed(garbage + packet.encode())[-1] == packet
 
 
 # --- packets that lie about their length ---------------------------------------------------

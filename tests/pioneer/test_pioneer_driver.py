@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pioneer_bench import Bench
 from virtual_robot import Site, renamed_robot
 
 from visctrl.hal.clock import ManualClock, WallClock
@@ -127,6 +128,19 @@ def test_killed_program(bench: MakeBench) -> None:
     it.standstill_after(2.1)
     assert it.robot.traffic.entries[-1].latest < killed + 0.01
     it.site.line(it.robot).open = False  # the system closes what a dead process had open
+    it.next_run_works()
+
+
+@pytest.mark.parametrize("notices", [True, False])
+def test_killed_program_on_a_serial_device_server(site: Site, notices: bool) -> None:
+    """The server tells the robot nothing: its watchdog acts. Only the simulator notices."""
+    it = Bench(site, site.robot("socket://robot:8101", notices_hang_up=notices))
+    it.site.world.start(lambda: program(it), "driver")
+    it.site.at_speed(it.robot, Velocity(0.4, 0.0))
+    it.site.world.kill("driver")
+    it.site.line(it.robot).open, it.site.line(it.robot).client_lost = False, True
+    stood = it.standstill_after(2.5)
+    assert stood < 0.6 if notices else 1.9 < stood < 2.5
     it.next_run_works()
 
 

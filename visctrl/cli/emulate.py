@@ -46,8 +46,9 @@ class Emulation:
 
     port : ``pty``, ``socket`` or ``socket:PORT``. robot : subclass, or a robot's name or path.
     start : pose of the camera in the scene. camera : None for a robot without one. faults : as
-    `parse_fault` reads them. slip : fractions of v and ω that the odometry does not notice. log :
-    file of what is received, and of where the robot truly is.
+    `parse_fault` reads them. slip : fractions of v and ω that the odometry does not notice.
+    hang_up : who stops the robot when a TCP client hangs up, ``watchdog`` or ``stop``. log : file
+    of what is received, and of where the robot truly is.
     """
 
     port: str
@@ -62,6 +63,7 @@ class Emulation:
     faults: Sequence[str]
     slip: tuple[float, float]
     seed: int
+    hang_up: str
     log: Path | None
 
 
@@ -107,7 +109,15 @@ def emulate(wanted: Emulation) -> int:
         traffic = Traffic(stack.enter_context(_log_file(wanted.log)))
         companion = None if camera is None else camera.move
         emulator = stack.enter_context(
-            Emulator(firmware, make_port(), schedule, traffic, wanted.seed, companion)
+            Emulator(
+                firmware,
+                make_port(),
+                schedule,
+                traffic,
+                wanted.seed,
+                notices_hang_up=wanted.hang_up == "stop",
+                companion=companion,
+            )
         )
         print(emulator.url, flush=True)
         if camera is not None:
@@ -121,6 +131,7 @@ def emulate(wanted: Emulation) -> int:
 
 
 def _check(wanted: Emulation) -> None:
+    _known("hang-up", wanted.hang_up, ("watchdog", "stop"))
     if not 0.0 < wanted.fps <= _MAX_FPS:
         raise InputError(f"--fps {wanted.fps:g}: at most {_MAX_FPS:g}, and more than 0")
     if not all(-1.0 < share < 1.0 for share in wanted.slip):

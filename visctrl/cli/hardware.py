@@ -141,6 +141,14 @@ def emulate_command(
         typer.Option(metavar="V OMEGA", help="Shares of motion that the odometry does not notice."),
     ] = (0.0, 0.0),
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of noise and faults.")] = 0,
+    hang_up: Annotated[
+        str,
+        typer.Option(
+            metavar="WHO",
+            help="Who stops the robot when a TCP client hangs up: its watchdog, as behind a "
+            "serial device server, or itself at once (stop).",
+        ),
+    ] = "watchdog",
     log: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write every packet received, and the true pose."),
@@ -165,6 +173,7 @@ def emulate_command(
         faults=fault or (),
         slip=slip,
         seed=seed,
+        hang_up=hang_up,
         log=log,
     )
     raise typer.Exit(emulate(wanted))
