@@ -112,9 +112,9 @@ _ENTRIES = (
         "visctrl.reproduce.chapter3_replay:figure_3_10",
     ),
     Entry(
-        "trifocal-smooth",
-        "the smooth trifocal law against the sliding-mode one (bounds are the project's own)",
-        "visctrl.reproduce.trifocal_laws:smooth_law",
+        "trifocal-laws",
+        "every trifocal law under what spoils real runs (bounds are the project's own)",
+        "visctrl.reproduce.trifocal_laws:laws",
     ),
     Entry(
         "trifocal-2d",

@@ -6,6 +6,7 @@ ESTIMATORS = {"tensor": "estimator:Tensor"}
 CONTROLLERS = {
     "trifocal-smc": "law_smc:TrifocalSmc",
     "trifocal-smooth": "law_smooth:TrifocalSmooth",
+    "trifocal-super-twisting": "law_super_twisting:TrifocalSuperTwisting",
 }
 SCHEME = Scheme(
     "1D trifocal tensor control",

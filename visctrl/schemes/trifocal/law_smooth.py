@@ -11,8 +11,8 @@ so that neither is singular at the target, and nothing is left to turn there: wi
 calibration the bearings of a robot that stands on the target and heads elsewhere are not those
 of the target view, and its position looks wrong.
 
-The law needs φ1, which the outputs are turned by. Where the estimate only assumes it, it is read
-off the tensor's own change on a straight leg.
+The law needs φ1, which the outputs are turned by. Where the estimate takes it to be 0, it is
+read off the tensor's own change on a straight leg.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from visctrl.contracts import Context, Controller, Decision, Estimate, Health, Signal
+from visctrl.contracts import Context, Controller, Decision, Estimate, Signal
 from visctrl.hal.types import STANDSTILL, Velocity
-from visctrl.schemes.termination import Arrival, ArrivalOptions, Divergence, Verdict
+from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
-from visctrl.schemes.trifocal.initial_heading import InitialHeading
 from visctrl.schemes.trifocal.law import TrifocalState
+from visctrl.schemes.trifocal.law_intake import BLIND_SPEED, Intake
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -37,12 +37,6 @@ Positive = Annotated[float, Field(gt=0.0)]
 _IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
 #: Share of the acceleration bound that slowing down asks for.
 _ACCELERATION_SHARE = 0.4
-#: Speed until the tensor's scale is known (m/s), and how well it must be known.
-_BLIND_SPEED, _KNOWN_SCALE = 0.2, 0.1
-#: It does not wait for that longer than this (m).
-_LONGEST_WAIT_M = 0.5
-#: Without any tensor the robot goes straight ahead no farther than this (m).
-_BLIND_LEG_M = 0.4
 #: A start this near to the target, in units of T_N, leaves only a turn to do.
 _THERE = 1e-3
 #: Distances below this (m), or so many standard deviations of the lateral position, steer as if
@@ -55,8 +49,6 @@ _STEEPEST = 1.2
 _CAUTION, _TURN_FIRST = 1.2, 1.3
 #: The heading's error goes so much faster than the lateral one, at least at this rate (1/s).
 _PACE, _LEAST_RATE = 3.0, 0.6
-#: So many times the initial distance away, and so much farther (m), the robot gives up.
-_ASTRAY, _LEEWAY_M = 2.0, 1.0
 
 
 class TrifocalSmoothOptions(ArrivalOptions):
@@ -93,34 +85,18 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
         super().__init__(options, context)
         self._arrival = Arrival(options)
         self._phase = "approach"
-        self._blind = 0.0
-        self._driven = 0.0
-        self._divergence = Divergence(_ASTRAY, _LEEWAY_M)
-        self._initial_heading = InitialHeading()
+        self._intake = Intake(context.camera_forward_m)
         self._values: dict[str, float] = {}
 
     def update(self, estimate: TensorEstimate, sent: Velocity, dt: float) -> Decision:
         """Return the velocity for an estimate; what was ``sent`` has acted for ``dt`` (s)."""
         self._values = {}
-        if estimate.health is Health.DEGENERATE and not self._divergence.begun:
-            return self._go_blindly(sent, dt)
-        if estimate.health is not Health.OK:
-            return Decision(STANDSTILL, self._phase)
-        self._driven += abs(sent.v) * dt
-        known_view = self._initial_heading.known(estimate)
-        if known_view is None:
-            return Decision(Velocity(_BLIND_SPEED, 0.0), "advance")
-        estimate = known_view
-        seen = TrifocalState.of(estimate, self.context.camera_forward_m)
-        distance = seen.scale * math.hypot(seen.right, seen.forward)
-        sure = estimate.scale_sd_m < _KNOWN_SCALE * seen.scale
-        known = sure or self._driven > _LONGEST_WAIT_M
-        if known and not self._divergence.begun:
-            self._divergence.begin(distance)
-        if self._divergence.astray(distance):
-            return Decision(STANDSTILL, self._phase)
-        if not self._divergence.begun and float(np.hypot(*estimate.outputs)) < _THERE:
-            self._divergence.begin(distance)
+        seen, velocity, advancing = self._intake.read(estimate, sent, dt)
+        if seen is None:
+            return Decision(velocity, "advance" if advancing else self._phase)
+        known = self._intake.known
+        if not self._intake.begun and float(np.hypot(*estimate.outputs)) < _THERE:
+            self._intake.begin(seen.scale * math.hypot(seen.right, seen.forward))
             self._phase = "settling"
         if self._phase == "approach":
             wanted = self._approach(seen, known)
@@ -135,13 +111,6 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
     def values(self) -> Mapping[str, float]:
         """Return where the robot is beside and before the target, and its heading's goal."""
         return self._values
-
-    def _go_blindly(self, sent: Velocity, dt: float) -> Decision:
-        """Go straight ahead: some tensors are determined only once the robot has moved."""
-        self._blind += abs(sent.v) * dt
-        if self._blind >= _BLIND_LEG_M:
-            return Decision(STANDSTILL, self._phase)
-        return Decision(Velocity(_BLIND_SPEED, 0.0), self._phase)
 
     def _approach(self, seen: TrifocalState, known: bool) -> Velocity:
         options = self.options
@@ -163,7 +132,7 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             "heading_wanted": wanted,
             "heading_error": error,
         }
-        top = self._top_speed(left, ahead) if known else _BLIND_SPEED
+        top = self._top_speed(left, ahead) if known else BLIND_SPEED
         v = top * max(math.cos(_CAUTION * error), 0.0) ** 2 if abs(error) < _TURN_FIRST else 0.0
         turning = 0.0
         if abs(wanted) < steepest:
@@ -202,4 +171,4 @@ class TrifocalSmooth(Controller[TrifocalSmoothOptions, TensorEstimate]):
             self._phase = "approach"
             self._arrival.restart()
             return STANDSTILL
-        return Velocity(-_BLIND_SPEED, -self.options.lambda_omega * seen.heading)
+        return Velocity(-BLIND_SPEED, -self.options.lambda_omega * seen.heading)

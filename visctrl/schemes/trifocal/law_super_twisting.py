@@ -25,12 +25,13 @@ from typing import Annotated, ClassVar, NamedTuple
 
 from pydantic import Field
 
-from visctrl.contracts import Context, Controller, Decision, Estimate, Health, Signal
+from visctrl.contracts import Context, Controller, Decision, Estimate, Signal
 from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.schemes.super_twisting import SuperTwisting
-from visctrl.schemes.termination import Arrival, ArrivalOptions, Divergence, Verdict
+from visctrl.schemes.termination import Arrival, ArrivalOptions, Verdict
 from visctrl.schemes.trifocal.estimate import TensorEstimate
 from visctrl.schemes.trifocal.law import TrifocalState
+from visctrl.schemes.trifocal.law_intake import BLIND_SPEED, Intake
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -38,11 +39,6 @@ Positive = Annotated[float, Field(gt=0.0)]
 _IDEAL_CRUISE, _CRUISE_SHARE = 0.4, 0.85
 #: Share of the acceleration bound that slowing down asks for.
 _ACCELERATION_SHARE = 0.4
-#: Speed until the tensor's scale is known (m/s), how well it must be known, and for how long (m)
-#: the robot waits for that.
-_BLIND_SPEED, _KNOWN_SCALE, _LONGEST_WAIT_M = 0.2, 0.1, 0.5
-#: Without any tensor the robot goes straight ahead no farther than this (m).
-_BLIND_LEG_M = 0.4
 #: The reference waits while |s2| is large: its speed goes with cos² of this many times s2.
 _CAUTION = 1.2
 #: Below this cosine of q the robot only turns: v would have to be more than three times ρ'.
@@ -55,8 +51,6 @@ _DISTURBED_SHARE, _DRIFT_RAD_S = 0.15, 0.1
 #: At the target the horizon is so long that noise asks for no more speed than this (m/s), but at
 #: most so many times as long: half of what counts as standing.
 _CALM_M_S, _MOST_CALM = 0.003, 4.0
-#: So many times the initial distance away, and so much farther (m), the robot gives up.
-_ASTRAY, _LEEWAY_M = 2.0, 1.0
 
 
 class SuperTwistingOptions(ArrivalOptions):
@@ -109,7 +103,7 @@ class _Polar(NamedTuple):
 
 
 class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
-    """Phases: sliding, perhaps retreat."""
+    """Phases: advance (only where φ1 is not known), sliding, perhaps retreat."""
 
     Options: ClassVar[type[SuperTwistingOptions]] = SuperTwistingOptions
     accepts: ClassVar[type[Estimate]] = TensorEstimate
@@ -139,29 +133,19 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
             options.gain_angle, options.integral_angle, _DRIFT_RAD_S, options.horizon_s
         )
         self._arrival = Arrival(options)
-        self._divergence = Divergence(_ASTRAY, _LEEWAY_M)
+        self._intake = Intake(context.camera_forward_m)
         self._reference: float | None = None
         self._retreating = False
         self._wanted = STANDSTILL
-        self._blind = self._driven = 0.0
         self._values: dict[str, float] = {}
 
     def update(self, estimate: TensorEstimate, sent: Velocity, dt: float) -> Decision:
         """Return the velocity for an estimate; what was ``sent`` has acted for ``dt`` (s)."""
         self._values = {}
-        if estimate.health is Health.DEGENERATE and not self._divergence.begun:
-            return self._go_blindly(sent, dt)
-        if estimate.health is not Health.OK:
-            return Decision(STANDSTILL, "sliding")
-        self._driven += abs(sent.v) * dt
-        seen = TrifocalState.of(estimate, self.context.camera_forward_m)
-        polar = _Polar.of(seen)
-        sure = estimate.scale_sd_m < _KNOWN_SCALE * seen.scale
-        known = sure or self._driven > _LONGEST_WAIT_M
-        if known and not self._divergence.begun:
-            self._divergence.begin(abs(polar.distance))
-        if self._divergence.astray(abs(polar.distance)):
-            return Decision(STANDSTILL, "sliding")
+        seen, velocity, advancing = self._intake.read(estimate, sent, dt)
+        if seen is None:
+            return Decision(velocity, "advance" if advancing else "sliding")
+        polar, known = _Polar.of(seen), self._intake.known
         if self._retreating:
             return Decision(self._retreat(polar), "retreat")
         velocity = self._slide(polar, seen.lateral_sd * seen.scale, known, sent)
@@ -175,13 +159,6 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
     def values(self) -> Mapping[str, float]:
         """Return distance, reference, outputs and learned disturbances."""
         return self._values
-
-    def _go_blindly(self, sent: Velocity, dt: float) -> Decision:
-        """Go straight ahead: some tensors are determined only once the robot has moved."""
-        self._blind += abs(sent.v) * dt
-        if self._blind >= _BLIND_LEG_M:
-            return Decision(STANDSTILL, "sliding")
-        return Decision(Velocity(_BLIND_SPEED, 0.0), "sliding")
 
     def _slide(self, polar: _Polar, lateral_sd: float, known: bool, sent: Velocity) -> Velocity:
         """Return the velocity that holds both outputs on their surfaces."""
@@ -225,7 +202,7 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
         left = abs(reference)
         top = min(self._cruise, math.sqrt(self._slowing * left), self.options.approach_rate * left)
         if not known:
-            top = _BLIND_SPEED
+            top = BLIND_SPEED
         patience = max(math.cos(_CAUTION * s_2), 0.0) ** 2
         return -math.copysign(top * patience, reference)
 
@@ -255,4 +232,4 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
             self._across.reset()
             self._arrival.restart()
             return STANDSTILL
-        return Velocity(-_BLIND_SPEED, -1.2 * polar.heading)
+        return Velocity(-BLIND_SPEED, -1.2 * polar.heading)
