@@ -65,6 +65,8 @@ class SuperTwistingOptions(ArrivalOptions):
     horizon_s : how long the loop takes to answer: period, actuation and what was seen late.
     blend_m : distance at which s1 and s2 are half those of the position, half forward error and
         heading.
+    straight_m : on this last part of the way φ_d is bounded in proportion to what is left, so that
+        the robot arrives aligned even if not quite on the path.
     settle_m : from this distance on the robot may have arrived.
     """
 
@@ -76,7 +78,8 @@ class SuperTwistingOptions(ArrivalOptions):
     gain_angle: Positive = 0.8
     integral_angle: Positive = 0.06
     horizon_s: Annotated[float, Field(ge=0.1, le=3.0)] = 0.8
-    blend_m: Positive = 0.03
+    blend_m: Positive = 0.25
+    straight_m: Positive = 0.4
     settle_m: Positive = 0.015
 
 
@@ -84,22 +87,32 @@ class _Polar(NamedTuple):
     """The target in polar coordinates, metres and rad.
 
     distance : ρ, negative where the target lies behind: q then counts from the robot's back.
+    right, forward : of the target in the robot's axes; beside, along : of it in the target's, the
+        robot's distance beside the target's axis and before the target.
     """
 
     distance: float
     q: float
-    psi: float
     forward: float
     right: float
+    beside: float
+    along: float
     heading: float
 
     @classmethod
     def of(cls, seen: TrifocalState) -> _Polar:
         right, forward = seen.scale * seen.right, seen.scale * seen.forward
+        s, c = math.sin(seen.heading), math.cos(seen.heading)
         sign = 1.0 if forward >= 0.0 else -1.0
-        q = math.atan2(sign * right, sign * forward)
-        psi = math.remainder(seen.heading - q, math.tau)
-        return cls(sign * math.hypot(right, forward), q, psi, forward, right, seen.heading)
+        return cls(
+            sign * math.hypot(right, forward),
+            math.atan2(sign * right, sign * forward),
+            forward,
+            right,
+            s * forward - c * right,
+            s * right + c * forward,
+            seen.heading,
+        )
 
 
 class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
@@ -165,9 +178,8 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
         options, period = self.options, self.context.period_s
         blend = math.hypot(options.blend_m, _BLUR_SIGMAS * lateral_sd)
         far = polar.distance**2 / (polar.distance**2 + blend**2)
-        steepest = math.radians(options.steepest_deg)
-        q_wanted = max(-steepest, min(steepest, options.k * polar.psi))
-        s_2 = far * math.remainder(polar.q - q_wanted, math.tau) + (1.0 - far) * polar.heading
+        wanted, slope_gain = self._wanted_heading(polar, blend)
+        s_2 = math.remainder(polar.heading - wanted, math.tau)
         position = far * polar.distance + (1.0 - far) * polar.forward
         rate = self._reference_rate(position, s_2, known)
         if self._reference is None:
@@ -182,10 +194,7 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
         cosine = math.cos(polar.q) * far + (1.0 - far)
         v = -(rate + r_1) / cosine if cosine > _LEAST_COSINE else 0.0
         v = max(-self._cruise, min(self._cruise, v))
-        saturated = abs(options.k * polar.psi) >= steepest
-        turn = 1.0 if saturated else 1.0 + options.k
-        feed_forward = -turn * v * math.sin(polar.q) * far / self._beyond(polar.distance, blend)
-        self._wanted = Velocity(v, feed_forward + r_2)
+        self._wanted = Velocity(v, slope_gain * self._sight_rate(polar, blend, v) + r_2)
         self._values = {
             "distance": polar.distance,
             "reference": self._reference,
@@ -195,6 +204,39 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
             "w_2": self._across.integral,
         }
         return self._wanted
+
+    def _wanted_heading(self, polar: _Polar, blend: float) -> tuple[float, float]:
+        """Return φ_d = ψ + sat(k ψ) (rad) and dφ_d/dψ; φ_d fades with the last of the way."""
+        options = self.options
+        psi = self._sight(polar, blend)
+        steepest = math.radians(options.steepest_deg)
+        if abs(options.k * psi) < steepest:
+            wanted, gain = (1.0 + options.k) * psi, 1.0 + options.k
+        else:
+            wanted, gain = psi + math.copysign(steepest, psi), 1.0
+        left = abs(polar.along) / options.straight_m
+        if left < 1.0 and abs(wanted) > left * steepest:
+            return math.copysign(left * steepest, wanted), 0.0
+        return wanted, gain
+
+    @staticmethod
+    def _sight(polar: _Polar, blend: float) -> float:
+        """Return ψ (rad), as if never less than ``blend`` (m) of the way were left.
+
+        Near the target noise, or a projection centre that is wrong, turns the line of sight, and
+        a robot that turned with it would see it turn more.
+        """
+        sign = math.copysign(1.0, polar.distance)
+        reach = math.copysign(math.hypot(polar.along, blend), polar.along)
+        return math.atan2(sign * polar.beside, sign * reach)
+
+    @staticmethod
+    def _sight_rate(polar: _Polar, blend: float, v: float) -> float:
+        """Return the rate (rad/s) of `_sight` at a speed of v (m/s)."""
+        s, c = math.sin(polar.heading), math.cos(polar.heading)
+        reach = math.copysign(math.hypot(polar.along, blend), polar.along)
+        slope = polar.beside / reach
+        return -v * (s - slope * c * polar.along / reach) / reach / (1.0 + slope**2)
 
     def _reference_rate(self, position: float, s_2: float, known: bool) -> float:
         """Return ρ_d' (m/s): it closes its distance and waits for a robot that must turn first."""
@@ -217,11 +259,6 @@ class TrifocalSuperTwisting(Controller[SuperTwistingOptions, TensorEstimate]):
         """Return whether the base was told what this law last wanted, not less of it."""
         v, omega = self._wanted
         return abs(sent.v - v) < 0.01 + 0.05 * abs(v) and abs(sent.omega - omega) < 0.03
-
-    @staticmethod
-    def _beyond(distance: float, blend: float) -> float:
-        """Return a signed distance that is never shorter than ``blend`` (m)."""
-        return math.copysign(math.hypot(distance, blend), distance)
 
     def _retreat(self, polar: _Polar) -> Velocity:
         """Return the velocity straight back; the way in begins again from there."""
