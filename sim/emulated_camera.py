@@ -52,7 +52,7 @@ class CameraSpec:
     scene: str
     camera: CentralCamera
     mount: Mount
-    renderer: RendererName = "tiny"
+    renderer: RendererName | None = None
     image_noise: float = 2.0
     fps: float = 10.0
     port: int = 0

@@ -73,6 +73,8 @@ class SimOptions(BackendOptions):
     renderer : ``tiny`` draws in software everywhere, with the same bits; ``gl`` casts rays in an
         OpenGL shader, several times as fast, and needs moderngl and a driver; ``egl`` is
         PyBullet's and pays off on a GPU only; ``auto`` times all of them and takes the fastest.
+        If left out, ``tiny``, or ``gl`` where PyBullet was built without NumPy and a picture of
+        ``tiny`` would cost seven times as much.
     image_noise : standard deviation of the pixel noise (grey levels).
     blur_px : Gaussian blur of the optics (px).
     exposure : amplitude of slow, smooth changes of the image's gain (0.2: between 0.8 and 1.2).
@@ -95,7 +97,7 @@ class SimOptions(BackendOptions):
 
     scene: str = "hall"
     boxes: tuple[Box, ...] = ()
-    renderer: RendererName = "tiny"
+    renderer: RendererName | None = None
     image_noise: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
     blur_px: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     exposure: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0

@@ -18,7 +18,7 @@ from visctrl.sim.options import RendererName
 from visctrl.sim.render.gl_context import gl_problem
 from visctrl.sim.render.probe import answer
 from visctrl.sim.render.renderer import BulletRenderer, Renderer
-from visctrl.sim.world.engine import egl_works
+from visctrl.sim.world.engine import egl_works, engine_problem, hands_over_arrays
 from visctrl.sim.world.scene import Finish, Item, Room, Scene
 
 DrawerName = Literal["tiny", "egl", "gl"]
@@ -32,7 +32,7 @@ _LEAST_SPREAD = 10.0
 
 
 def open_renderer(
-    wanted: RendererName,
+    wanted: RendererName | None,
     scene: Scene,
     camera: CentralCamera,
     detail: float = 1.0,
@@ -42,7 +42,7 @@ def open_renderer(
 
     Parameters
     ----------
-    wanted : {"auto", "tiny", "egl", "gl"}
+    wanted : {"auto", "tiny", "egl", "gl"} or None
         See `visctrl.sim.options.SimOptions`.
     scene, camera, detail, floor
         See `BulletRenderer` and `GlRenderer`.
@@ -55,14 +55,22 @@ def open_renderer(
     return _open(choose_drawer(wanted), scene, camera, detail, floor)
 
 
-def choose_drawer(wanted: RendererName) -> DrawerName:
-    """Return what draws where ``wanted`` is asked for; ``auto`` says so on standard error.
+def choose_drawer(wanted: RendererName | None) -> DrawerName:
+    """Return what draws where ``wanted`` is asked for.
+
+    What is not asked for by name is told on standard error: the result of ``auto``, and another
+    default than ``tiny``.
 
     Raises
     ------
     InputError
         What is wanted does not work here.
     """
+    if wanted is None:
+        name, why = _default()
+        if why:
+            print(f"renderer: {name}, {why}", file=sys.stderr)
+        wanted = name
     if wanted == "auto":
         name, why = _fastest()
         print(f"renderer: {name}, {why}", file=sys.stderr)
@@ -76,12 +84,25 @@ def drawer_problem(name: DrawerName) -> str:
     """Return why a renderer cannot be used here and what to do, "" if it can."""
     if name == "gl":
         return gl_problem()
+    if problem := engine_problem():
+        return problem
     if name == "egl" and not egl_works():
         return (
             "PyBullet's EGL plugin does not draw here: install an EGL driver (on Debian: libegl1 "
             "libgl1-mesa-dri), or use renderer 'tiny'"
         )
     return ""
+
+
+@cache
+def _default() -> tuple[DrawerName, str]:
+    """Return what draws where nothing is asked for, and why if it is not what it always is."""
+    if hands_over_arrays():
+        return "tiny", ""
+    why = engine_problem() or "PyBullet was built without NumPy here and gives pixels one by one"
+    if problem := gl_problem():
+        return "tiny", f"slowly: {why}; and renderer 'gl': {problem}"
+    return "gl", f"because {why}"
 
 
 @cache

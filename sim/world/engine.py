@@ -13,11 +13,22 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from typing import Any
 
 from visctrl.hal.errors import InputError
 from visctrl.sim.render.probe import works
 
-__all__ = ["connect", "connect_window", "disconnect", "egl_works", "hushed", "load_egl", "pybullet"]
+__all__ = [
+    "connect",
+    "connect_window",
+    "disconnect",
+    "egl_works",
+    "engine_problem",
+    "hands_over_arrays",
+    "hushed",
+    "load_egl",
+    "pybullet",
+]
 
 _STREAMS = (1, 2)
 
@@ -47,8 +58,52 @@ def _flush_native() -> None:
         ctypes.CDLL(None).fflush(None)
 
 
-with hushed():
-    import pybullet
+#: Pythons for which a maintained fork of PyBullet has ready-made files, and its name.
+_FORK, _FORK_PYTHONS = "pybullet-arm64", ((3, 12), (3, 13))
+_LAST_WHEELS = (3, 11)
+
+
+class _Absent:
+    """Stands in for PyBullet where it is not installed; whoever uses it is told what to do."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise InputError(engine_problem())
+
+
+def engine_problem() -> str:
+    """Return why there is no PyBullet and what to do; empty if there is."""
+    if not isinstance(pybullet, _Absent):
+        return ""
+    python = sys.version_info[:2]
+    if python in _FORK_PYTHONS:
+        remedy = f"pip install {_FORK}"
+    elif python <= _LAST_WHEELS:
+        remedy = "pip install pybullet"
+    else:
+        remedy = (
+            f"pip install pybullet (for Python {python[0]}.{python[1]} it must be compiled, which "
+            "takes some minutes)"
+        )
+    return (
+        f"the simulation needs PyBullet, which is not installed: {remedy}; the backends mock and "
+        "pioneer do without"
+    )
+
+
+def hands_over_arrays() -> bool:
+    """Return whether PyBullet was built with NumPy: else pictures come number by number.
+
+    The fork for Python 3.12 and 3.13 was not: a picture of 800 by 600 then costs some 200 ms,
+    which are 24 ms otherwise.
+    """
+    return not isinstance(pybullet, _Absent) and bool(pybullet.isNumpyEnabled())
+
+
+try:
+    with hushed():
+        import pybullet
+except ImportError:
+    pybullet = _Absent()
 
 
 def connect() -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import os
 import platform
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -32,11 +31,11 @@ if TYPE_CHECKING:
     from visctrl.sim.render.renderer_choice import DrawerName
 
 _PACKAGES = (
-    "numpy", "scipy", "opencv-python-headless", "pybullet", "filterpy", "pyyaml", "pyserial",
+    "numpy", "scipy", "opencv-python-headless", "filterpy", "pyyaml", "pyserial",
     "pydantic", "typer", "rich", "matplotlib",
 )  # fmt: skip
-#: Newest Python that PyBullet's wheels are made for.
-_PYBULLET_WHEELS = (3, 11)
+#: PyBullet, and the fork that has ready-made files for newer Pythons.
+_PHYSICS = ("pybullet", "pybullet-arm64")
 _FAILED = 3
 _RATE_HZ = 10.0
 _TIMER_S, _TIMER_PERIOD_S = 1.0, 0.01
@@ -79,6 +78,7 @@ def examine(port: str | None, source: str | None, camera: CameraChoice, *, quick
     console = Console()
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
         ("packages", packages),
+        ("physics", physics),
         ("timer", timer),
         ("serial ports", serial_ports),
     ]
@@ -102,23 +102,41 @@ def examine(port: str | None, source: str | None, camera: CameraChoice, *, quick
 
 def packages() -> Iterator[Finding]:
     """Check Python and the packages that this program needs."""
-    known = sys.version_info[:2] == _PYBULLET_WHEELS
-    yield Finding(
-        Level.OK if known else Level.WARNING,
-        "python",
-        platform.python_version(),
-        "" if known else "PyBullet has ready-made wheels for 3.11 only and must be compiled here",
-    )
+    yield Finding(Level.OK, "python", platform.python_version())
     found, missing = [], []
     for package in _PACKAGES:
-        try:
+        if _installed(package):
             found.append(f"{package} {version(package)}")
-        except PackageNotFoundError:
+        else:
             missing.append(package)
     yield Finding(Level.OK, "packages", ", ".join(found))
     if missing:
         names = " ".join(missing)
         yield Finding(Level.FAILURE, "packages", f"missing: {names}", f"pip install {names}")
+
+
+def physics() -> Iterator[Finding]:
+    """Check the engine of the simulation, which no other backend needs."""
+    from visctrl.sim.world.engine import engine_problem, hands_over_arrays
+
+    if problem := engine_problem():
+        yield Finding(Level.WARNING, "physics", "no PyBullet", problem)
+        return
+    named = [f"{name} {version(name)}" for name in _PHYSICS if _installed(name)]
+    slow = not hands_over_arrays()
+    yield Finding(
+        Level.OK,
+        "physics",
+        " ".join(named) + (", built without NumPy" if slow else ""),
+        "pictures by PyBullet are slow: the simulation draws with 'gl' if it works" if slow else "",
+    )
+
+
+def _installed(package: str) -> bool:
+    try:
+        return bool(version(package))
+    except PackageNotFoundError:
+        return False
 
 
 def timer() -> Iterator[Finding]:
