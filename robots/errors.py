@@ -29,3 +29,12 @@ class DiskError(VisctrlError):
     """
 
     exit_code = 3
+
+
+class LoadError(VisctrlError):
+    """The code of an extension fails while it is imported.
+
+    Examples: a syntax error, a name that is not defined, a module that ends the program.
+    """
+
+    exit_code = 3

@@ -35,6 +35,15 @@ def absolute(path: Path) -> Path:
         raise InputError(f"{path}: the current directory is gone: change to another one") from None
 
 
+def utf_8(path: Path) -> bool:
+    """Return whether a name is UTF-8: libraries written in C crash over others."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def read_bytes(path: Path, most: int) -> bytes:
     """Return what a file holds.
 

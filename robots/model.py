@@ -7,8 +7,9 @@ found by name, among those of this package and those that installed packages ann
 from __future__ import annotations
 
 import math
+import os
 from functools import cache
-from importlib import import_module, resources
+from importlib import resources
 from importlib.metadata import entry_points
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -19,6 +20,7 @@ from pydantic import Field, PrivateAttr
 from visctrl.robots.arcos import Arcos
 from visctrl.robots.documents import StrictModel, load, suggestion
 from visctrl.robots.errors import InputError
+from visctrl.robots.loading import load_module
 from visctrl.robots.sonar import SonarRing
 
 #: Entry points that name a package with a ``robot.yaml`` in it.
@@ -174,15 +176,15 @@ def _place(name: str) -> tuple[str, Path | None]:
     if not is_path(name):
         return name, None
     path = Path(name)
-    path = path / _FILE if path.is_dir() else path
-    return str(path.resolve()), path
+    path = path / _FILE if os.path.isdir(path) else path
+    return os.path.realpath(path), path
 
 
 @cache
 def _read(name: str, path: Path | None) -> Robot:
     if path is not None:
         robot = load(path, Robot)
-        robot._folder = path.resolve().parent
+        robot._folder = Path(os.path.realpath(path)).parent
         return robot
     if name in _own():
         folder = _own()[name]
@@ -210,7 +212,8 @@ def _announced() -> dict[str, str]:
 
 
 def _package_folder(name: str, package: str) -> Traversable:
+    what = f"robot '{name}': package {package}"
     try:
-        return resources.files(import_module(package))
-    except (ImportError, TypeError) as error:
-        raise InputError(f"robot '{name}': package {package} cannot be read: {error}") from error
+        return resources.files(load_module(package, what))
+    except TypeError as error:
+        raise InputError(f"{what} cannot be read: {error}") from error

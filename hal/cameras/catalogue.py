@@ -17,6 +17,7 @@ from typing import Any
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.robots.documents import read_yaml, suggestion, validate
 from visctrl.robots.errors import InputError
+from visctrl.robots.loading import load_object
 
 _MODELS = "visctrl.hal.cameras.models"
 _DEFAULT = "unified"
@@ -72,11 +73,7 @@ def model_class(name: str, origin: str = "camera") -> type[CentralCamera]:
         No such model, or what it names is none.
     """
     if ":" in name:
-        module, _, attribute = name.partition(":")
-        try:
-            found = getattr(importlib.import_module(module), attribute)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise InputError(f"{origin}: model '{name}' cannot be loaded: {error}") from error
+        found = load_object(name, f"{origin}: model '{name}'")
         if not (isinstance(found, type) and issubclass(found, CentralCamera)):
             raise InputError(f"{origin}: model '{name}' is not derived from CentralCamera")
         return found

@@ -50,6 +50,7 @@ def decode_grey(data: bytes, origin: str) -> Grey:
             f"{origin}: claims {width}x{height} pixels: more than {_MOST_PIXELS / 1e6:.0f} million "
             "are not read"
         )
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     except cv2.error:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
-from pathlib import Path
 
 from visctrl.hal.errors import InputError
 from visctrl.robots.documents import suggestion
@@ -41,7 +41,7 @@ def check_scene_name(name: str) -> str:
             raise InputError(f"scene '{name}': expected a whole number, as in {RANDOM}7")
         return name
     if name.endswith((".yaml", ".yml")):
-        if not Path(name).is_file():
+        if not os.path.isfile(name):
             raise InputError(f"{name}: no such file")
     elif name not in scene_names():
         raise InputError(f"unknown scene '{name}'; {suggestion(name, scene_names())}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -288,7 +289,7 @@ def _show_centre(report: dict[str, Any], known: CentralCamera | None, out: Path 
 def _camera(name: str) -> CentralCamera:
     """Return a camera by the name of a built-in one, or of a calibration file."""
     path = Path(name)
-    return read_camera(path) if path.suffix or path.exists() else load_camera(name)
+    return read_camera(path) if path.suffix or os.path.exists(path) else load_camera(name)
 
 
 def _format(name: str) -> Format:
@@ -302,12 +303,12 @@ def _files(sources: Sequence[Path]) -> list[Path]:
     """Return the image files that arguments name: files, or all images of folders."""
     files: list[Path] = []
     for source in sources:
-        if source.is_dir():
+        if os.path.isdir(source):
             here = image_files(source)
             if not here:
                 raise InputError(f"{source}: no images here (looked for {', '.join(SUFFIXES)})")
             files += here
-        elif source.exists():
+        elif os.path.exists(source):
             files.append(source)
         else:
             raise InputError(f"{source}: no such image or folder")

@@ -332,11 +332,15 @@ def tick_budget(camera: CameraChoice) -> Iterator[Finding]:
 
 
 def _guarded(what: str, check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
-    """Run a check; an error meant for the user is a finding like others."""
+    """Run a check; whatever it fails with is a finding like others."""
     try:
         yield from check()
     except VisctrlError as error:
         yield Finding(Level.FAILURE, what, str(error))
+    except ImportError as error:
+        yield Finding(Level.FAILURE, what, str(error), "install the missing package (see packages)")
+    except Exception as error:
+        yield Finding(Level.FAILURE, what, f"{type(error).__name__}: {error}")
 
 
 def _median(values: list[float]) -> float:

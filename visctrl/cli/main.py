@@ -11,7 +11,7 @@ import typer
 from visctrl.cli.ending import Program, run_program
 from visctrl.cli.hardware import add_hardware_commands
 from visctrl.cli.images import add_image_commands
-from visctrl.cli.options import OverwriteOption, SharedOption
+from visctrl.cli.options import OverwriteOption, SharedOption, finite
 from visctrl.threads import limit_linear_algebra
 
 _INTERRUPTED = 130
@@ -317,13 +317,20 @@ def observability_command(
             "(T111, ...); may be repeated.",
         ),
     ] = None,
-    tau: Annotated[float, typer.Option(metavar="S", min=1.0, help="Time of a planned path.")] = 100,
+    tau: Annotated[
+        float,
+        typer.Option(metavar="S", min=1.0, callback=finite, help="Time of a planned path."),
+    ] = 100,
     period: Annotated[
-        float, typer.Option(metavar="S", min=0.01, help="Tick of a planned path.")
+        float,
+        typer.Option(metavar="S", min=0.01, callback=finite, help="Tick of a planned path."),
     ] = 0.5,
     window: Annotated[int, typer.Option(metavar="N", min=1, help="Ticks judged together.")] = 10,
     offset: Annotated[
-        float, typer.Option(metavar="M", min=0.01, help="Camera ahead of the axle.")
+        float,
+        typer.Option(
+            metavar="M", min=0.01, max=10.0, callback=finite, help="Camera ahead of the axle."
+        ),
     ] = 0.08,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     out: Annotated[

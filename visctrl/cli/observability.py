@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ Array = NDArray[np.float64]
 _NAMES = ("epipoles", "target-epipole", *(name for name in ELEMENTS if name != "T121"))
 #: Singular values below this share of the largest one count as lost.
 _LOST = 1e-4
+#: Largest coordinate of a start (m, deg), and longest planned path.
+_FARTHEST, _MOST_TICKS = 1000.0, 100_000
 
 
 def observability(
@@ -52,6 +55,12 @@ def observability(
     InputError
         Neither or both are given, an unknown output, or a log that cannot be used.
     """
+    if start is not None and not all(abs(value) <= _FARTHEST for value in start):
+        raise InputError(f"--start: expected three numbers, none beyond {_FARTHEST:g}")
+    if tau_s / period_s > _MOST_TICKS:
+        raise InputError(
+            f"--tau {tau_s:g}: more than {_MOST_TICKS:,} ticks of --period {period_s:g} s"
+        )
     if (run is None) == (start is None):
         raise InputError("give either a run directory or --start X Y PHI_DEG")
     for name in outputs:
@@ -169,8 +178,8 @@ def _recorded(run: Path) -> tuple[Array, Array, Array]:
     """Return times, poses and velocities of the main stage of a recorded run."""
     from visctrl.viewers.report.ticks import read_ticks
 
-    path = run / "ticks.csv" if run.is_dir() else run
-    if not path.is_file():
+    path = run / "ticks.csv" if os.path.isdir(run) else run
+    if not os.path.isfile(path):
         raise InputError(f"{run}: holds no ticks.csv: name the directory of a run")
     ticks = read_ticks(path)
     names = ("t", "x_true", "y_true", "phi_true", "v_sent", "omega_sent")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -83,7 +84,8 @@ def _ticks(recording: Recording) -> int:
 
 def _distinct(source: Path, out: Path | None) -> None:
     """Refuse to write over what is read."""
-    if out is not None and out.resolve() in (source.resolve(), source.resolve().parent):
+    read = os.path.realpath(source)
+    if out is not None and os.path.realpath(out) in (read, os.path.dirname(read)):
         raise InputError(f"--out {out}: this would replace the recording: choose another directory")
 
 

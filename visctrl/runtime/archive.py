@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -35,9 +36,9 @@ def read_archive(path: Path, parts: Mapping[str, int]) -> dict[str, NDArray[Any]
         There is no such file, it is no archive of this kind, or an array is larger than it may
         be or than the file can hold.
     """
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such file; `visctrl teach -o {path}` makes one")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise _refusal(path, "it is no file")
     try:
         with zipfile.ZipFile(path) as archive:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -339,9 +340,9 @@ def scenario_source(name: str) -> Path | Traversable:
     if name in scenario_names():
         return resources.files("visctrl.configs") / f"{name}.yaml"
     path = Path(name)
-    if path.is_dir():
+    if os.path.isdir(path):
         path = path / "config.yaml"
-    if path.suffix in {".yaml", ".yml"} or path.exists():
+    if path.suffix in {".yaml", ".yml"} or os.path.exists(path):
         return path
     raise InputError(f"unknown scenario '{name}'; {suggestion(name, scenario_names())}")
 

@@ -15,7 +15,7 @@ from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Range, Velocity
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.interrupts import Interrupts
-from visctrl.runtime.pipeline import Pipeline, Reporting, Stage, Watch
+from visctrl.runtime.pipeline import Pipeline, Reporting, Stage, Watch, signals_of
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
 from visctrl.runtime.scheduler import Tick, Ticker, prompt_threads
@@ -214,7 +214,7 @@ class Loop:
         self, reporting: Reporting, stage: Stage, estimate: Estimate, truth: Pose | None
     ) -> tuple[tuple[str, Mapping[str, float]], ...]:
         """Return what the plugins report of this tick, as far as anybody reads it."""
-        found = [(name, dict(plugin.values())) for name, plugin in reporting]
+        found = signals_of(reporting)
         reported = dict(found).get(stage.estimator_name, {})
         if judged := self._consistency.values(estimate, truth, reported):
             found.append((CONSISTENCY, judged))

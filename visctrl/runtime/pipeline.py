@@ -41,20 +41,40 @@ class PluginError(VisctrlError):
         self.details = "".join(traceback.format_exception(error))
 
 
-def call_plugin(who: str, work: Callable[[], T]) -> T:
+def call_plugin(who: str, work: Callable[[], T], gives: type[T] | None = None) -> T:
     """Call into a plugin outside a tick; what it raises for the user passes, the rest is a fault.
 
     Raises
     ------
     PluginError
-        It raised anything but a `VisctrlError`.
+        It raised anything but a `VisctrlError`, or returned something else than ``gives``.
     """
     try:
-        return work()
+        found = work()
+        if gives is not None and not isinstance(found, gives):
+            raise TypeError(f"returned {type(found).__name__}, not {gives.__name__}")
     except VisctrlError:
         raise
     except Exception as error:
         raise PluginError(who, error) from error
+    return found
+
+
+def signals_of(reporting: Reporting) -> list[tuple[str, Mapping[str, float]]]:
+    """Return this tick's numbers of plugins, by their names.
+
+    Raises
+    ------
+    PluginError
+        One could not give them.
+    """
+    found: list[tuple[str, Mapping[str, float]]] = []
+    for name, plugin in reporting:
+        try:
+            found.append((name, dict(plugin.values())))
+        except Exception as error:
+            raise PluginError(f"plugin '{name}', asked for its signals,", error) from error
+    return found
 
 
 @dataclass(frozen=True)

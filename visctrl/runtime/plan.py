@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -125,7 +126,7 @@ class Plan:
         """Return the whole configuration, every default filled in; it can be run again."""
         data = self.scenario.model_dump(mode="json", exclude={"backends"})
         if is_path(self.scenario.robot):
-            data["robot"] = str(Path(self.scenario.robot).resolve())
+            data["robot"] = os.path.realpath(self.scenario.robot)
         data["camera"]["width"] = self.camera.width
         data["camera"]["height"] = self.camera.height
         data["camera"]["mount"] = self.scenario.camera.mount or self.scheme.mount

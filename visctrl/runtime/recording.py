@@ -107,12 +107,12 @@ def open_recording(source: Path, target: Path | None, rate_hz: Callable[[], floa
     InputError
         There are no images, or some are missing; the message names the first.
     """
-    if not source.is_dir():
+    if not os.path.isdir(source):
         raise InputError(f"{source}: no such run directory or folder of images")
-    run = source.parent if (source / INDEX).exists() else source
-    if (run / IMAGES / INDEX).exists():
+    run = source.parent if os.path.exists(source / INDEX) else source
+    if os.path.exists(run / IMAGES / INDEX):
         return _recorded_run(source, run, target)
-    if (run / CONFIG).exists():
+    if os.path.exists(run / CONFIG):
         raise InputError(
             f"{source}: this run was recorded without images: run it again with --record-images"
         )
@@ -261,7 +261,7 @@ def _driven(row: dict[str, str], before: Driven | None) -> Driven:
 
 
 def _all_there(paths: list[Path]) -> None:
-    missing = sorted({path for path in paths if not path.is_file()})
+    missing = sorted({path for path in paths if not os.path.isfile(path)})
     if missing:
         more = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise InputError(f"{missing[0]}: the image is missing{more}")

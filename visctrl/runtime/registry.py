@@ -8,11 +8,7 @@ an entry point of an installed package, in the group ``visctrl.perception``, ``v
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import inspect
-import os
-import sys
 import typing
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -21,10 +17,18 @@ from typing import Any, Generic, TypeVar, cast
 
 import visctrl.perception
 import visctrl.planning.providers
-from visctrl.contracts import Controller, Estimate, Estimator, ObstacleProvider, Perception
+from visctrl.contracts import (
+    Controller,
+    Estimate,
+    Estimator,
+    ObstacleProvider,
+    Perception,
+    Signal,
+)
 from visctrl.hal.interfaces import Backend, BackendOptions
 from visctrl.robots.documents import StrictModel, suggestion
 from visctrl.robots.errors import InputError
+from visctrl.robots.loading import load_object
 from visctrl.runtime.schemes import declared, plugins_of_schemes
 
 T = TypeVar("T")
@@ -80,17 +84,11 @@ class Registry(Generic[T]):
         InputError
             Unknown name, a module that cannot be imported, or a class that is not what its
             kind asks for.
+        LoadError
+            Its code fails while it is imported.
         """
         target = self.target(name)
-        module_name, _, attribute = target.partition(":")
-        try:
-            found: object = _import_module(module_name)
-            for part in attribute.split("."):
-                found = getattr(found, part)
-        except (ImportError, AttributeError) as error:
-            raise InputError(
-                f"{self.kind} '{name}' ({target}) cannot be loaded: {error}"
-            ) from error
+        found = load_object(target, f"{self.kind} '{name}' ({target})")
         return self._checked(found, name, target)
 
     @cached_property
@@ -104,7 +102,23 @@ class Registry(Generic[T]):
         if inspect.isabstract(found):
             missing = ", ".join(sorted(getattr(found, "__abstractmethods__", ())))
             raise InputError(f"{where} does not implement {missing}")
+        if hasattr(self.contract, "signals"):
+            _check_plugin(found, self.contract, where)
         return cast(type[T], found)
+
+
+def _check_plugin(plugin: type, contract: type, where: str) -> None:
+    """Refuse a plugin that leaves out what its contract declares, or says it wrongly."""
+    signals = getattr(plugin, "signals", ())
+    if not (isinstance(signals, tuple) and all(isinstance(each, Signal) for each in signals)):
+        raise InputError(f"{where}: 'signals' is not a tuple of visctrl.contracts.Signal")
+    if "accepts" in contract.__annotations__:
+        accepts = getattr(plugin, "accepts", None)
+        if not (isinstance(accepts, type) and issubclass(accepts, Estimate)):
+            raise InputError(
+                f"{where} does not say which estimates it takes: set 'accepts' to a subclass of "
+                "visctrl.contracts.Estimate"
+            )
 
 
 def options_type(owner: type, where: str, base: type[Options]) -> type[Options]:
@@ -173,9 +187,7 @@ class Registries:
         target = _BACKEND_OPTIONS.get(name)
         if target is None:
             return options_type(self.backends.load(name), f"backend '{name}'", BackendOptions)
-        module_name, _, attribute = target.partition(":")
-        found: type[BackendOptions] = getattr(importlib.import_module(module_name), attribute)
-        return found
+        return cast(type[BackendOptions], load_object(target, f"backend '{name}'"))
 
 
 #: Where a backend's options live apart from the backend, which may import a physics engine.
@@ -185,21 +197,3 @@ _BACKEND_OPTIONS = {
 }
 
 REGISTRIES = Registries()
-
-
-def _import_module(name: str) -> object:
-    """Import a module, also from the current folder, where an installed command does not look.
-
-    The current folder stays what it was: relative paths of a scenario count from there.
-    """
-    try:
-        here = os.getcwd()
-    except FileNotFoundError:  # it is gone: what is installed can still be used
-        return importlib.import_module(name)
-    if here not in sys.path:
-        sys.path.append(here)
-    try:
-        return importlib.import_module(name)
-    finally:
-        with contextlib.suppress(OSError):
-            os.chdir(here)

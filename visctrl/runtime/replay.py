@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-from visctrl.contracts import Controller, Decision, Estimate, Plugin
+from visctrl.contracts import Controller, Decision, Estimate, Match, Plugin
 from visctrl.hal.types import Frame, Odometry, Velocity
 from visctrl.robots.documents import StrictModel
 from visctrl.robots.errors import InputError
@@ -17,7 +17,7 @@ from visctrl.robots.files import owner_only, writing
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.images import INITIAL
 from visctrl.runtime.meter import Meter
-from visctrl.runtime.pipeline import Pipeline, Stage, Watch, call_plugin
+from visctrl.runtime.pipeline import Pipeline, Stage, Watch, call_plugin, signals_of
 from visctrl.runtime.plan import Chosen
 from visctrl.runtime.recorder import CONFIG, Recorder
 from visctrl.runtime.recording import Driven, Recording, Shot, read_image
@@ -177,7 +177,7 @@ class _Replay:
 
     def _take_initial(self, frame: Frame, path: Path) -> None:
         try:
-            match = call_plugin(self._perceiver, lambda: self._perception.set_initial(frame))
+            match = call_plugin(self._perceiver, lambda: self._perception.set_initial(frame), Match)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
         for observer in self._observers:
@@ -215,7 +215,7 @@ class _Replay:
             battery_v=driven.battery_v,
             event=driven.event,
             blame="",
-            signals=tuple((who, dict(each.values())) for who, each in pipeline.reporting()),
+            signals=tuple(signals_of(pipeline.reporting())),
             seconds=(0.0, *self._times.seconds, 0.0),
         )
         for observer in self._observers:

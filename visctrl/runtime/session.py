@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from visctrl.contracts import Context, Perception, Plugin
+from visctrl.contracts import Context, Match, Perception, Plugin
 from visctrl.hal.actuation import Limiter
 from visctrl.hal.errors import DeviceError
 from visctrl.hal.interfaces import Backend
@@ -172,7 +172,10 @@ class _Session:
         for stage in stages:
             for name, provider in stage.obstacles.items():
                 expected = call_plugin(f"obstacle provider '{name}'", provider.expected)
-                stage.controller.expect(expected)
+                call_plugin(
+                    f"controller '{stage.controller_name}'",
+                    partial(stage.controller.expect, expected),
+                )
         self._take_target(backend, perception)
         self._take_initial(backend, perception)
         self._start_recording(stages, perception, backend.clock.lockstep)
@@ -267,7 +270,7 @@ class _Session:
     def _take_initial(self, backend: Backend, perception: Perception[Any]) -> None:
         self._tell("matching the initial view to the target")
         frame = backend.camera.read()
-        match = call_plugin(self._perceiver, lambda: perception.set_initial(frame))
+        match = call_plugin(self._perceiver, lambda: perception.set_initial(frame), Match)
         for observer in self._observers:
             observer.on_initial(frame, match)
 

@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import json
 import math
+import os
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
@@ -228,7 +229,7 @@ def study_source(name: str) -> Path | Traversable:
     if name in study_names():
         return _folder() / f"{name}.yaml"
     path = Path(name)
-    if path.suffix in {".yaml", ".yml"} or path.exists():
+    if path.suffix in {".yaml", ".yml"} or os.path.exists(path):
         return path
     raise InputError(f"unknown study '{name}'; {suggestion(name, study_names())}")
 

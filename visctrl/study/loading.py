@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,7 +141,7 @@ def load_study(name: str) -> LoadedStudy:
     chosen = study.scenario
     if chosen not in scenario_names() and isinstance(source, Path):
         beside = source.parent / chosen
-        if beside.suffix in {".yaml", ".yml"} or beside.exists():
+        if beside.suffix in {".yaml", ".yml"} or os.path.exists(beside):
             chosen = str(beside)
     try:
         scenario = scenario_source(chosen)
@@ -181,7 +182,7 @@ def _digest(scenario: Mapping[str, Any], files: dict[str, str]) -> str:
     for name in named:
         if isinstance(name, str) and name not in files:
             path = Path(name)
-            content = path.read_bytes() if path.is_file() else b""
+            content = path.read_bytes() if os.path.isfile(path) else b""
             files[name] = hashlib.sha256(content).hexdigest()
     contents = [files.get(name) for name in named if isinstance(name, str)]
     text = json.dumps([scenario, contents], sort_keys=True, default=str)

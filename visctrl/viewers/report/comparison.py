@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -50,7 +51,7 @@ def write_comparison(directories: Sequence[Path], target: Path) -> Path:
 
 def _names(directories: Sequence[Path]) -> list[str]:
     """Return the directories' names, with their parents' where two are the same."""
-    resolved = [path.resolve() for path in directories]
+    resolved = [Path(os.path.realpath(path)) for path in directories]
     for depth in range(1, max(len(path.parts) for path in resolved) + 1):
         names = ["/".join(path.parts[-depth:]) for path in resolved]
         if len(set(names)) == len(names):

@@ -105,9 +105,9 @@ def read_run(directory: Path) -> RunFiles:
     InputError
         It holds no run, or one whose files cannot be read; the message names the file.
     """
-    if not directory.is_dir():
+    if not os.path.isdir(directory):
         raise InputError(f"{directory}: no such run directory")
-    if not (directory / TICKS).exists():
+    if not os.path.exists(directory / TICKS):
         raise InputError(f"{directory}: holds no run: {TICKS} is missing")
     ticks = read_ticks(directory / TICKS)
     config = read_yaml(directory / CONFIG)
@@ -199,8 +199,8 @@ def _head(run: RunFiles) -> str:
         f"{config.get('robot')}, camera {summary.get('camera')} {camera.get('width')}×"
         f"{camera.get('height')} (mount {camera.get('mount')}), seed {config.get('seed')}; "
     )
-    files = escape(str(run.directory.resolve().name))
-    if (run.directory / VIDEO).exists():
+    files = escape(str(os.path.basename(os.path.realpath(run.directory))))
+    if os.path.exists(run.directory / VIDEO):
         files += f', <a href="{VIDEO}">video</a>'
     return (
         f"<header><h1>{escape(title)}</h1><p>{verdict(summary['status'])} "
@@ -267,7 +267,7 @@ def _events(ticks: Ticks) -> str:
 
 def _fault(directory: Path) -> str:
     path = directory / FAULT
-    if not path.is_file():
+    if not os.path.isfile(path):
         return ""
     text = read_bytes(path, MOST_BYTES).decode(errors="replace")
     return section("The fault", f"<pre>{escape(text)}</pre>")

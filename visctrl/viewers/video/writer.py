@@ -13,6 +13,7 @@ import numpy as np
 from visctrl.contracts import Array, Views
 from visctrl.hal.types import Pose
 from visctrl.robots.errors import InputError
+from visctrl.robots.files import utf_8
 from visctrl.runtime.records import Observer, Setup, TickRecord
 from visctrl.viewers.report.topview import Outline
 from visctrl.viewers.trace import Trace
@@ -59,6 +60,8 @@ class VideoWriter(Observer):
         size = (setup.camera.width + setup.camera.height, setup.camera.height)
         # The codec takes even sizes only.
         self._size = (size[0] // 2 * 2, size[1] // 2 * 2)
+        if not utf_8(path):
+            raise InputError(f"--video: OpenCV takes UTF-8 names only, and {path} is none")
         self._file = cv2.VideoWriter(str(path), codec, setup.scenario.rate_hz, self._size)
         if not self._file.isOpened():
             raise InputError(f"--video: OpenCV cannot write {path}; run without --video")
