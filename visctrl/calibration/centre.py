@@ -7,12 +7,14 @@ straight edges; all hypotheses are judged in one array operation.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.calibration.edges import Segments
+from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
 from visctrl.geometry.robust.sampling import Samples, ransac
 from visctrl.robots.errors import InputError
 
@@ -22,6 +24,8 @@ Mask = NDArray[np.bool_]
 _GATE_SIGMAS = 3.0
 _HYPOTHESES = 4000
 _REFINEMENTS = 15
+#: Condition number beyond which lines are parallel but for their noise.
+_MOST_CONDITION = 1e6
 #: More segments than chance lets point at the centre: by so many deviations, and at least so many.
 _SIGNIFICANT, _LEAST_SEGMENTS = 4.0, 4
 #: Beyond this standard deviation the lines do not determine the centre (px).
@@ -63,18 +67,16 @@ def find_centre(segments: Segments, size: tuple[int, int], seed: int) -> Centre:
     InputError
         No point is met by more lines than chance explains, or they leave it undetermined.
     """
-    point = _consensus(segments, size, seed)
-    if point is None:
+    start = _consensus(segments, size, seed)
+    if start is None:
         raise InputError(_nothing(0, len(segments)))
-    weight = np.zeros(len(segments))
-    for _ in range(_REFINEMENTS):
-        miss, sigma, agree = (values[0] for values in _agreement(segments, point[None]))
-        # Redescending: what does not point here belongs to something else.
-        weight = agree**2 / sigma**2
-        step = _solve(segments, miss, weight)
-        if step is None:
-            raise InputError(_nothing(int((weight > 0).sum()), len(segments)))
-        point = point + step
+    point, _, _, _ = gauss_newton(
+        lambda point: _agreement(segments, point[None]),
+        lambda at: _solve(segments, *(values[0] for values in at)),
+        lambda point, step: np.asarray(point + step),
+        start,
+        Options(_REFINEMENTS),
+    )
     miss, sigma, agree = (values[0] for values in _agreement(segments, point[None]))
     radial = agree > 0.0
     expected = _by_chance(segments, point, sigma)
@@ -132,13 +134,18 @@ def _consensus(segments: Segments, size: tuple[int, int], seed: int) -> Array | 
     return found.models[0] if len(found.models) else None
 
 
-def _solve(segments: Segments, miss: Array, weight: Array) -> Array | None:
-    """Return the weighted least-squares step (2,) towards the lines' common point."""
+def _solve(segments: Segments, miss: Array, sigma: Array, agree: Array) -> Solved[Array]:
+    """Return the least-squares step (2,) towards the lines' common point, with Tukey's biweight.
+
+    It redescends: what does not point here belongs to something else.
+    """
+    weight = agree**2 / sigma**2
     J = np.stack([segments.along[:, 1], -segments.along[:, 0]], axis=-1)
     normal = J.T @ (weight[:, None] * J)
-    if np.linalg.cond(normal) > 1e6:
-        return None
-    return np.asarray(-np.linalg.solve(normal, J.T @ (weight * miss)))
+    if np.linalg.cond(normal) > _MOST_CONDITION:
+        raise InputError(_nothing(int((weight > 0).sum()), len(segments)))
+    step = np.asarray(-np.linalg.solve(normal, J.T @ (weight * miss)), dtype=np.float64)
+    return Solved(step, math.inf)
 
 
 def _covariance(segments: Segments, miss: Array, sigma: Array) -> Array:

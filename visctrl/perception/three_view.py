@@ -8,11 +8,14 @@ should be seen again.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
+from visctrl.geometry.robust.losses import cauchy
 from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.two_view.planar import PlanarMotion
 
@@ -33,6 +36,8 @@ _OUTLIER_SCALE = 2.0
 # or less, and noise larger.
 _STEPS, _SETTLED = 8, 5e-4
 _LONGEST = 0.4
+# Gauss–Newton steps of each inverse distance: from the nearest of those tried they converge.
+_RANGING_STEPS = 5
 # A little damping: with no parallax at all the position is not determined.
 _DAMPING = np.diag([1.0, 1.0, 1e-3])
 
@@ -97,19 +102,14 @@ class ThreeViewMap:
 
         Robust Gauss–Newton (Cauchy weights) on bearings and elevations from ``start``.
         """
-        pose, seen = np.array(start, dtype=np.float64), _seen(rays)
-        for _ in range(_STEPS):
-            residual, J, variance = self._linearise(which, seen, pose, sigma)
-            scaled = residual**2 / variance
-            weight = 1.0 / (variance * (1.0 + scaled.sum(axis=1) / _OUTLIER_SCALE**2)[:, None])
-            weighted = (weight[..., None] * J).reshape(-1, 3).T
-            H, g = weighted @ J.reshape(-1, 3), weighted @ residual.ravel()
-            step = np.linalg.solve(H + _DAMPING, g)
-            longest = float(np.abs(step).max())
-            step *= min(1.0, _LONGEST / max(longest, 1e-12))
-            pose += step
-            if longest < _SETTLED:
-                break
+        seen = _seen(rays)
+        pose, (residual, J, variance), step, _ = gauss_newton(
+            lambda pose: self._linearise(which, seen, pose, sigma),
+            _solve,
+            lambda pose, step: np.asarray(pose + step),
+            np.array(start, dtype=np.float64),
+            Options(_STEPS, converged=_SETTLED**2, longest=_LONGEST),
+        )
         # To first order, what is left at the pose as it is now.
         residual = residual - J @ step
         inliers = _within_gate(residual, variance)
@@ -165,15 +165,34 @@ class ThreeViewMap:
         candidates = np.repeat(_INVERSE_DISTANCES[:, None], len(self), axis=1)
         residual = _residual(self._offset(pose, candidates, every), tangent, seen, pose[2])
         cost = (residual**2 / variance).sum(axis=-1)
-        inverse = _INVERSE_DISTANCES[np.argmin(cost, axis=0)]
-        information = np.ones(len(self))
-        for _ in range(5):
+
+        def linearise(inverse: Array) -> tuple[Array, Array]:
             offset = self._offset(pose, inverse, every)
             residual = _residual(offset, tangent, seen, pose[2])
             J = -_by_offset(offset, tangent) @ pose[:2]
             information = (J**2 / variance).sum(axis=-1) + _PRIOR_INVERSE_DISTANCE_SD**-2
-            inverse = np.maximum(inverse + (J * residual / variance).sum(axis=-1) / information, 0)
+            return (J * residual / variance).sum(axis=-1), information
+
+        inverse, (_, information), _, _ = gauss_newton(
+            linearise,
+            lambda at: Solved(at[0] / at[1], math.inf),
+            lambda inverse, step: np.maximum(inverse + step, 0.0),
+            _INVERSE_DISTANCES[np.argmin(cost, axis=0)],
+            Options(_RANGING_STEPS),
+        )
         return inverse, 1.0 / information
+
+
+def _solve(at: tuple[Array, Array, Array]) -> Solved[Array]:
+    """Return the step of a pose, with Cauchy's loss of both residuals of a feature together."""
+    residual, J, variance = at
+    square = (residual**2 / variance).sum(axis=1)
+    weight = cauchy(square / _OUTLIER_SCALE**2)[:, None] / variance
+    weighted = (weight[..., None] * J).reshape(-1, 3).T
+    H, g = weighted @ J.reshape(-1, 3), weighted @ residual.ravel()
+    step = np.asarray(np.linalg.solve(H + _DAMPING, g), dtype=np.float64)
+    longest = float(np.abs(step).max())
+    return Solved(step, longest**2, longest)
 
 
 def _within_gate(residual: Array, variance: Array) -> Mask:

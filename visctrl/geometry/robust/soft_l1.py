@@ -11,14 +11,14 @@ equations is w = 1/√(1 + x²), its curvature w³. Beyond a limit the cost stay
 
 from __future__ import annotations
 
-import itertools
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from abc import abstractmethod
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from visctrl.geometry.robust.least_squares import Options, Problem, Solved
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -53,76 +53,11 @@ class Linear(Protocol):
 
 
 LinearT = TypeVar("LinearT", bound=Linear)
-PointT = TypeVar("PointT")
-
-
-class Descent(ABC, Generic[PointT]):
-    """Levenberg–Marquardt of one problem in plain floats, fed with what a batch evaluates.
-
-    ahead : where the last step leads; once ``done``, the end.
-    at : the point to evaluate next. That is ``ahead``, but once ``done`` the best one, unless the
-        last was refused: whom others keep waiting is left as it would be alone.
-    best, cost : the best that was evaluated, and its cost.
-    refused : whether the point that was evaluated last was worse than one before.
-
-    Parameters
-    ----------
-    start : where to begin.
-    iterations : at most so many steps.
-    longest : each parameter's longest step.
-    """
-
-    def __init__(self, start: PointT, iterations: int, longest: float) -> None:
-        self._longest = longest
-        self.at = self.ahead = start
-        self.done = self.refused = False
-        self.best = start
-        self.cost = math.inf
-        self._normal: Normal = []
-        self._damping = 0.0
-        self._left = iterations
-
-    @abstractmethod
-    def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
-        """Return the step δ that normal equations ask for, and −gᵀ δ.
-
-        Parameters
-        ----------
-        normal : the K rows of the Hessian, and the gradient g.
-        damping : what is added to the Hessian's diagonal, relative to it.
-        """
-
-    @abstractmethod
-    def moved(self, point: PointT, delta: Delta, part: float) -> PointT:
-        """Return the point after a part of a step."""
-
-    def take(self, cost: float, normal: Normal) -> None:
-        """Take in the cost at the point ahead and its normal equations, and go on from the best."""
-        if self.done:
-            return
-        self.refused = cost > self.cost
-        if self.refused:
-            self._damping = 10.0 * max(self._damping, 1e-5)
-        else:
-            self.best, self.cost, self._normal = self.at, cost, normal
-            self._damping *= 0.1
-        delta, gain = self.solve(self._normal, self._damping)
-        # Half of −gᵀ δ is what the step should gain. It cannot gain more than there is: where it
-        # seems to, the residuals are no noise, and the kernel's curvature is not that of the way.
-        part, longest = 1.0, max(max(delta), -min(delta))
-        if longest > self._longest:
-            part = self._longest / longest
-        if gain * part > 2.0 * self.cost:
-            part = 2.0 * self.cost / gain
-        self.ahead = self.moved(self.best, delta, part)
-        self._left -= 1
-        # −gᵀ δ is δᵀ H δ, too: the step's length in variances of what it corrects.
-        self.done = gain < (_LAST_STEP / KERNEL_SIGMAS) ** 2 or self._left <= 0
-        self.at = self.best if self.done and not self.refused else self.ahead
+PointT = TypeVar("PointT", bound=Delta)
 
 
 class Settled(NamedTuple, Generic[LinearT]):
-    """Where the descents have ended, but for last steps that are too short to matter.
+    """Residuals of all problems, and how much they count.
 
     weights : (P N,), of the features; zero where they do not count.
     inside : (P N,) features that count, None for all.
@@ -133,37 +68,64 @@ class Settled(NamedTuple, Generic[LinearT]):
     inside: Mask | None
 
 
-def settle(
-    linearise: Callable[[list[PointT]], LinearT],
-    descents: Sequence[Descent[PointT]],
-    *,
-    limit: float = math.inf,
-    usable: Mask | None = None,
-) -> Settled[LinearT]:
-    """Let descents run to their ends, which are then in their ``ahead``.
+class SoftL1Problem(Problem[PointT, Settled[LinearT], Normal, Delta], Generic[PointT, LinearT]):
+    """P problems of N features each, whose points are tuples of K parameters.
 
     Parameters
     ----------
-    linearise : function
-        From P points to their residuals and derivatives.
-    descents : P descents
     limit : float
         Residuals beyond it do not count; where most show more noise than expected, so much more.
     usable : (P N,) array or None
         Features that count at all; None for all.
     """
-    for number in itertools.count():
-        linear = linearise([descent.at for descent in descents])
+
+    def __init__(self, limit: float = math.inf, usable: Mask | None = None) -> None:
+        self._limit, self._usable = limit, usable
+        self._number = 0
+
+    @abstractmethod
+    def residuals(self, points: list[PointT]) -> LinearT:
+        """Return residuals and derivatives at P points."""
+
+    @abstractmethod
+    def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
+        """Return the step δ of one problem, and −gᵀ δ (see `Problem.steps`).
+
+        Parameters
+        ----------
+        normal : the K rows of the Hessian, and the gradient g.
+        damping : what is added to the Hessian's diagonal, relative to it.
+        """
+
+    def linearise(self, points: list[PointT]) -> tuple[Settled[LinearT], list[float], list[Normal]]:
+        """Return residuals and weights, costs, and Hessians with the gradients below."""
+        linear = self.residuals(points)
         weights, inside, costs, normals = _normal_equations(
-            linear, len(descents), limit, usable, may_be_far=number < _FAR_POINTS
+            linear,
+            len(points),
+            self._limit,
+            self._usable,
+            may_be_far=self._number < _FAR_POINTS,
         )
-        if all(descent.done for descent in descents):
-            break
-        for descent, cost, normal in zip(descents, costs, normals, strict=True):
-            descent.take(cost, normal)
-        if all(descent.done and not descent.refused for descent in descents):
-            break
-    return Settled(linear, weights, inside)
+        self._number += 1
+        return Settled(linear, weights, inside), costs, normals
+
+    def steps(self, normals: list[Normal], damping: list[float]) -> list[Solved[Delta]]:
+        """Solve each problem on its own; a step is as long as its largest change."""
+        steps = []
+        for normal, damped in zip(normals, damping, strict=True):
+            step, gain = self.solve(normal, damped)
+            steps.append(Solved(step, gain, max(max(step), -min(step))))
+        return steps
+
+
+def options(iterations: int, longest: float) -> Options:
+    """Return the loop's options: steps are damped once one was bad, and short ones are the last."""
+    return Options(
+        iterations,
+        converged=(_LAST_STEP / KERNEL_SIGMAS) ** 2,
+        longest=longest,
+    )
 
 
 def _normal_equations(

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
 from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.robust.symmetric import inverse4
 from visctrl.geometry.trifocal.tensor import (
@@ -27,16 +28,15 @@ Array = NDArray[np.float64]
 
 #: Width of the kernel in spreads of the residuals.
 WIDTH = 4.0
-#: Longest step on the unit sphere.
-LONGEST_STEP = 0.3
 #: Steps are at most so many times those of the weighted least squares.
 PACE = 1.5
 #: What keeps a singular matrix invertible, as a share of its size.
 TINY = 1e-12
 #: At least this share of a direction's information is taken for real.
 _LEAST_SHARE = 0.03
-#: A step this short, in standard deviations of the result, ends the iteration.
-CONVERGED = 0.02
+#: A step of 0.02 standard deviations of the result ends the iteration; the longest one is on the
+#: unit sphere.
+_OPTIONS = Options(iterations=20, converged=0.02**2, longest=0.3)
 
 
 class TensorFit(NamedTuple):
@@ -67,7 +67,7 @@ class TensorFit(NamedTuple):
         return self.linear.residual
 
 
-def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int = 20) -> TensorFit:
+def refine(relation: Trilinear, start: Array, sigma: float) -> TensorFit:
     """Refine coordinates by robust Gauss–Newton on Sampson residuals.
 
     The kernel (Geman–McClure) is redescending: gross errors of high leverage would pull any
@@ -83,34 +83,64 @@ def refine(relation: Trilinear, start: Array, sigma: float, *, iterations: int =
         Where to start; any length.
     sigma : float
         Standard deviation of one direction (rad).
-    iterations : int
-        At most this many steps.
     """
-    z = start / math.sqrt(start.dot(start))
-    for _ in range(iterations):
-        linear = linearised(relation, z)
-        residual, jacobian = linear.residual, linear.jacobian(relation)
-        spread = _spread(residual, sigma)
-        weights, pace = _geman_mcclure(residual, spread)
-        weighted = jacobian * weights
-        information = weighted.dot(jacobian.T)
-        inverse = _inverse_across(information, z)
-        step = inverse.dot(weighted.dot(residual))
-        step *= -min(pace, LONGEST_STEP / max(math.sqrt(step.dot(step)), 1e-300))
-        z = z + step
-        z /= math.sqrt(z.dot(z))
-        if math.sqrt(max(float(information.dot(step).dot(step)), 0.0)) < CONVERGED * spread:
-            break
-    variance = spread**2
+    z, at, step, _ = gauss_newton(
+        lambda z: _weighted(relation, z, sigma),
+        _solve,
+        _on_sphere,
+        start / math.sqrt(start.dot(start)),
+        _OPTIONS,
+    )
+    variance = at.spread**2
     return TensorFit(
         z,
-        variance * inverse,
-        information / variance,
-        Linearised(residual + step.dot(jacobian), linear.slopes),
-        jacobian,
-        weights,
-        spread,
+        variance * at.inverse,
+        at.information / variance,
+        Linearised(at.linear.residual + step.dot(at.jacobian), at.linear.slopes),
+        at.jacobian,
+        at.weights,
+        at.spread,
     )
+
+
+class _Weighted(NamedTuple):
+    """Residuals at one z and their weights, the information (k, k) and its inverse across z.
+
+    gradient : (k,) of the cost. pace : how much longer Newton's step is than the weights' own.
+    """
+
+    linear: Linearised
+    jacobian: Array
+    weights: Array
+    spread: float
+    information: Array
+    inverse: Array
+    gradient: Array
+    pace: float
+
+
+def _weighted(relation: Trilinear, z: Array, sigma: float) -> _Weighted:
+    linear = linearised(relation, z)
+    residual, jacobian = linear.residual, linear.jacobian(relation)
+    spread = max(sigma, mad_sd(residual))
+    weights, pace = _geman_mcclure(residual, spread)
+    weighted = jacobian * weights
+    information = weighted.dot(jacobian.T)
+    inverse, gradient = _inverse_across(information, z), weighted.dot(residual)
+    return _Weighted(linear, jacobian, weights, spread, information, inverse, gradient, pace)
+
+
+def _solve(at: _Weighted) -> Solved[Array]:
+    step = at.inverse.dot(at.gradient)
+    step *= -at.pace
+    gain = float(at.information.dot(step).dot(step)) / at.spread**2
+    return Solved(step, gain, math.sqrt(step.dot(step)))
+
+
+def _on_sphere(z: Array, step: Array) -> Array:
+    moved = z + step
+    moved /= math.sqrt(moved.dot(moved))
+    return moved
 
 
 def debiased_covariance(relation: Trilinear, fit: TensorFit, sigma: float) -> Array:
@@ -216,11 +246,6 @@ def _geman_mcclure(residual: Array, spread: float) -> tuple[Array, float]:
     # least squares is weights; where residuals are as promised, the mean will do.
     curvature = 4.0 * float(weights.dot(root)) - 3.0 * total
     return weights, min(PACE, total / curvature) if curvature > 0.0 else PACE
-
-
-def _spread(residual: Array, sigma: float) -> float:
-    """Return the robust standard deviation of the residuals, at least ``sigma``."""
-    return max(sigma, mad_sd(residual))
 
 
 def _across(matrix: Array, z: Array) -> Array:

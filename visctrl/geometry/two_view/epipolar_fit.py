@@ -14,16 +14,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.least_squares import levenberg_marquardt
 from visctrl.geometry.robust.scale import MAD_TO_SD
 from visctrl.geometry.robust.soft_l1 import (
     KERNEL_SIGMAS,
     Delta,
-    Descent,
     Normal,
     Settled,
+    SoftL1Problem,
     medians,
+    options,
     products,
-    settle,
     some,
 )
 from visctrl.geometry.two_view.degeneracy import Degeneracy
@@ -109,16 +110,21 @@ def descend(
     """Return where the residuals are least; arguments as for `fit`."""
     unit = KERNEL_SIGMAS * sigma
 
-    def linearise(lines: list[Lines]) -> LinearPoints:
-        return pairs.linearised(lines, unit)
-
-    descents = [_Lines(start, iterations, _LONGEST_STEP) for start in starts]
-    settled = settle(linearise, descents, limit=limit / unit, usable=usable)
-    return [descent.ahead for descent in descents], settled
+    problem = _LinesProblem(pairs, unit, limit / unit, usable)
+    found = levenberg_marquardt(problem, starts, options(iterations, _LONGEST_STEP))
+    return found.points, found.linear
 
 
-class _Lines(Descent[Lines]):
-    """Descent of one pair's (φ, θ, λ)."""
+class _LinesProblem(SoftL1Problem[Lines, LinearPoints]):
+    """Epipolar lines (φ, θ, λ) of several pairs of views."""
+
+    def __init__(self, pairs: PointPairs, unit: float, limit: float, usable: Mask | None) -> None:
+        super().__init__(limit, usable)
+        self._pairs, self._unit = pairs, unit
+
+    def residuals(self, points: list[Lines]) -> LinearPoints:
+        """Return residuals and derivatives at each pair's (φ, θ, λ)."""
+        return self._pairs.linearised(points, self._unit)
 
     def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
         """Return the step, and −gᵀ δ (see the base)."""
@@ -138,12 +144,12 @@ class _Lines(Descent[Lines]):
         p = -u / a - l_21 * q - l_31 * r
         return (p, q, r), -(p * u + q * v + r * w)
 
-    def moved(self, point: Lines, delta: Delta, part: float) -> Lines:
+    def moved(self, point: Lines, step: Delta, part: float) -> Lines:
         """Return (φ, θ, λ) after a part of a step."""
         return (
-            point[0] + part * delta[0],
-            point[1] + part * delta[1],
-            point[2] + part * delta[2],
+            point[0] + part * step[0],
+            point[1] + part * step[1],
+            point[2] + part * step[2],
         )
 
 

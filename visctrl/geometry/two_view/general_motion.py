@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
 from visctrl.geometry.two_view.degeneracy import Degeneracy
 
 Array = NDArray[np.float64]
@@ -128,7 +129,7 @@ def magsac(
         return _nothing(len(a), none)
     start = np.asarray(M[:3] / np.linalg.norm(M[:3]), dtype=np.float64)
     a, b = (np.insert(points, 2, 1.0, axis=1) for points in (a, b))
-    matrix, inliers = _refined(start, a, b, mask.ravel() > 0, sigma, calibrated=calibrated)
+    matrix, inliers = _refined(start, a, b, sigma, calibrated=calibrated)
     if np.count_nonzero(inliers) <= MINIMUM_FEATURES:
         return _nothing(len(a), none)
     return _judged(matrix, a[inliers], b[inliers], sigma, inliers, calibrated=calibrated)
@@ -178,31 +179,49 @@ def essential_tangent(E: Array) -> Array:
     return np.asarray(np.linalg.svd(changes)[2][:5])
 
 
-def _refined(
-    M: Array, a: Array, b: Array, inliers: Mask, sigma: float, *, calibrated: bool
-) -> tuple[Array, Mask]:
+def _refined(M: Array, a: Array, b: Array, sigma: float, *, calibrated: bool) -> tuple[Array, Mask]:
     """Return the matrix of least Sampson residuals near M, and the features (N,) it explains.
 
     Gauss–Newton in the tangent space, back to the nearest matrix of its kind after every step.
     """
-    for _ in range(_STEPS):
+
+    def linearise(M: Array) -> _Linear:
         by_a, by_b = b @ M.T, a @ M
         by_a[:, 2] = by_b[:, 2] = 0.0
         inverse = 1.0 / _gradients(M, a, b)
         residual = np.sum(a * (b @ M.T), axis=1) * inverse
-        inliers = np.abs(residual) < _GATE_SIGMAS * sigma
         change = _outer(by_a, b) + _outer(a, by_b)
         jacobian = (_outer(a, b) - (residual * inverse)[:, None] * change) * inverse[:, None]
         tangent = essential_tangent(M) if calibrated else fundamental_tangent(M)
-        J = jacobian[inliers] @ tangent.T
-        H = J.T @ J
-        damping = 1e-9 * max(float(H.trace()), 1e-300) * np.eye(len(H))
-        step = np.linalg.solve(H + damping, -J.T @ residual[inliers])
-        step *= min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
-        U, s, Vt = np.linalg.svd(M + (step @ tangent).reshape(3, 3))
+        inliers = np.abs(residual) < _GATE_SIGMAS * sigma
+        return _Linear(residual, jacobian, tangent, inliers)
+
+    def moved(M: Array, step: Array) -> Array:
+        U, s, Vt = np.linalg.svd(M + step)
         M = (U * ([1.0, 1.0, 0.0] if calibrated else [s[0], s[1], 0.0])) @ Vt
-        M /= np.linalg.norm(M)
-    return M, inliers
+        return np.asarray(M / np.linalg.norm(M))
+
+    options = Options(_STEPS, longest=_LONGEST_STEP)
+    found = gauss_newton(linearise, _solve, moved, M, options)
+    return found.point, found.linear.inliers
+
+
+class _Linear(NamedTuple):
+    """Residuals (N,), derivatives (N, 9), free directions (k, 9), and who counts (N,)."""
+
+    residual: Array
+    jacobian: Array
+    tangent: Array
+    inliers: Mask
+
+
+def _solve(at: _Linear) -> Solved[Array]:
+    """Return the step (3, 3) of the matrix."""
+    J = at.jacobian[at.inliers] @ at.tangent.T
+    H = J.T @ J
+    damping = 1e-9 * max(float(H.trace()), 1e-300) * np.eye(len(H))
+    step = np.linalg.solve(H + damping, -J.T @ at.residual[at.inliers])
+    return Solved((step @ at.tangent).reshape(3, 3), math.inf, float(np.linalg.norm(step)))
 
 
 def _outer(a: Array, b: Array) -> Array:

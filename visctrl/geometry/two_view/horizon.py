@@ -20,7 +20,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from visctrl.geometry.robust.soft_l1 import KERNEL_SIGMAS, Delta, Descent, Normal, products, settle
+from visctrl.geometry.robust.least_squares import levenberg_marquardt
+from visctrl.geometry.robust.soft_l1 import (
+    KERNEL_SIGMAS,
+    Delta,
+    Normal,
+    SoftL1Problem,
+    options,
+    products,
+)
 from visctrl.geometry.two_view.planar_residuals import PointPairs
 from visctrl.geometry.two_view.planar_uncalibrated import MINIMUM_FEATURES, likely_lines
 
@@ -71,20 +79,17 @@ def find_horizon(
         limit = _GATE_SIGMAS * max(sigma, _RESIDUAL * widest * (_ROWS[1] - _ROWS[0]))
         lines = likely_lines(a - shift, b - shift, limit, _HYPOTHESES, seed, 1)
         starts.append((*lines[0], shift[1]))
-    pairs, unit = PointPairs.of(a, b, len(starts)), KERNEL_SIGMAS * sigma
-
-    def linearise(levels: list[Level]) -> _LinearLevels:
-        return _LinearLevels.of(pairs, levels, unit)
-
-    descents = [_Level(start, _STEPS, _LONGEST_STEP) for start in starts]
-    linear, weights, _ = settle(linearise, descents, limit=_GATE_SIGMAS / KERNEL_SIGMAS)
-    inside = [k for k, found in enumerate(descents) if abs(found.best[3]) <= widest]
+    pairs = PointPairs.of(a, b, len(starts))
+    problem = _LevelProblem(pairs, KERNEL_SIGMAS * sigma)
+    found = levenberg_marquardt(problem, starts, options(_STEPS, _LONGEST_STEP))
+    linear, weights, _ = found.linear
+    inside = [k for k, level in enumerate(found.evaluated) if abs(level[3]) <= widest]
     if not inside:
         return Horizon(0.0, widest)
-    best = min(inside, key=lambda k: descents[k].cost)
+    best = min(inside, key=lambda k: found.costs[k])
     sums = products(linear.jacobian * weights, linear.jacobian, pairs.pairs)[best]
     noise = (linear.noise * weights).reshape(pairs.pairs, -1)[best] / KERNEL_SIGMAS**2
-    return Horizon(descents[best].best[3], min(widest, _deviation(np.array(sums), noise)))
+    return Horizon(found.evaluated[best][3], min(widest, _deviation(np.array(sums), noise)))
 
 
 class _LinearLevels(NamedTuple):
@@ -116,8 +121,16 @@ class _LinearLevels(NamedTuple):
         return cls(linear.residual, np.vstack([linear.jacobian, by_height]), noise)
 
 
-class _Level(Descent[Level]):
-    """Descent of one pair's (φ, θ, λ, h)."""
+class _LevelProblem(SoftL1Problem[Level, _LinearLevels]):
+    """Epipolar lines and horizon (φ, θ, λ, h) of one pair of views from several starts."""
+
+    def __init__(self, pairs: PointPairs, unit: float) -> None:
+        super().__init__(_GATE_SIGMAS / KERNEL_SIGMAS)
+        self._pairs, self._unit = pairs, unit
+
+    def residuals(self, points: list[Level]) -> _LinearLevels:
+        """Return residuals and derivatives at each start's (φ, θ, λ, h)."""
+        return _LinearLevels.of(self._pairs, points, self._unit)
 
     def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
         """Return the step, and −gᵀ δ (see the base)."""
@@ -126,9 +139,9 @@ class _Level(Descent[Level]):
         delta = -np.linalg.solve(H, g)
         return tuple(delta.tolist()), -float(g @ delta)
 
-    def moved(self, point: Level, delta: Delta, part: float) -> Level:
+    def moved(self, point: Level, step: Delta, part: float) -> Level:
         """Return (φ, θ, λ, h) after a part of a step."""
-        phi, theta, scale, h = (p + part * d for p, d in zip(point, delta, strict=True))
+        phi, theta, scale, h = (p + part * d for p, d in zip(point, step, strict=True))
         return phi, theta, scale, h
 
 

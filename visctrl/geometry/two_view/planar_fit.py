@@ -26,16 +26,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from visctrl.geometry.robust.least_squares import levenberg_marquardt
 from visctrl.geometry.robust.scale import MAD_TO_SD
 from visctrl.geometry.robust.soft_l1 import (
     KERNEL_SIGMAS,
     Delta,
-    Descent,
     Normal,
     Settled,
+    SoftL1Problem,
     medians,
+    options,
     products,
-    settle,
 )
 from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.level_pairs import Complex, LevelPairs
@@ -176,17 +177,24 @@ def fit(
         sigma = np.repeat(sigma, pairs.features)
     unit = KERNEL_SIGMAS * sigma
 
-    def linearise(motions: list[Motion]) -> LinearRays:
-        return pairs.linearised(motions, unit)
-
-    descents = [_Motion(start, iterations, _LONGEST_STEP) for start in starts]
     usable = None if present is None else present.ravel()
-    settled = settle(linearise, descents, limit=limit_sigmas / KERNEL_SIGMAS, usable=usable)
-    return _judged(pairs, [descent.ahead for descent in descents], settled, sigma)
+    problem = _MotionProblem(pairs, unit, limit_sigmas / KERNEL_SIGMAS, usable)
+    found = levenberg_marquardt(problem, starts, options(iterations, _LONGEST_STEP))
+    return _judged(pairs, found.points, found.linear, sigma)
 
 
-class _Motion(Descent[Motion]):
-    """Descent of one pair's (φ, θ)."""
+class _MotionProblem(SoftL1Problem[Motion, LinearRays]):
+    """Motions (φ, θ) of several pairs of views."""
+
+    def __init__(
+        self, pairs: RayPairs, unit: float | Array, limit: float, usable: Mask | None
+    ) -> None:
+        super().__init__(limit, usable)
+        self._pairs, self._unit = pairs, unit
+
+    def residuals(self, points: list[Motion]) -> LinearRays:
+        """Return residuals and derivatives at each pair's (φ, θ)."""
+        return self._pairs.linearised(points, self._unit)
 
     def solve(self, normal: Normal, damping: float) -> tuple[Delta, float]:
         """Return the step of (φ, θ), and −gᵀ δ (see the base)."""
@@ -197,9 +205,9 @@ class _Motion(Descent[Motion]):
         phi, theta = (pt * g_t - tt * g_p) / det, (pt * g_p - pp * g_t) / det
         return (phi, theta), -(phi * g_p + theta * g_t)
 
-    def moved(self, point: Motion, delta: Delta, part: float) -> Motion:
+    def moved(self, point: Motion, step: Delta, part: float) -> Motion:
         """Return (φ, θ) after a part of a step."""
-        return point[0] + part * delta[0], point[1] + part * delta[1]
+        return point[0] + part * step[0], point[1] + part * step[1]
 
 
 def _judged(

@@ -28,6 +28,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
+from visctrl.geometry.robust.losses import cauchy
 from visctrl.geometry.robust.scale import mad_sd
 
 Array = NDArray[np.float64]
@@ -39,7 +41,7 @@ _MAX_RANGE_SD = 0.3
 #: Fewer features than this do not place a view.
 _LEAST_FEATURES = 8
 #: Steps at most, and the one, as a part of the distance from the target, after which all is said.
-_STEPS, _STILL = 4, 0.01
+_OPTIONS = Options(iterations=4, converged=0.01**2)
 #: Least information in one direction as a part of the most in any.
 _REGULAR = 1e-12
 #: Scale of the Cauchy kernel, in standard deviations of a residual.
@@ -155,16 +157,16 @@ class Structure:
         s, c = math.sin(phi), math.cos(phi)
         rays = current if self._which is None else current.take(self._which, axis=1)
         seen = self._chosen.seen(rays, complex(c, -s))
-        right, forward = c * x + s * y, c * y - s * x
-        variance = (0.0, 0.0, 0.0)
-        for _ in range(_STEPS):
-            solved = _solve(*_normal_equations(seen, right, forward, sigma))
-            if solved is None:
-                return None
-            (step_right, step_forward), variance = solved
-            right, forward = right - step_right, forward - step_forward
-            if step_right**2 + step_forward**2 < _STILL**2 * (right**2 + forward**2):
-                break
+        place, at, _, _ = gauss_newton(
+            lambda place: _linearised(seen, place, sigma),
+            _step,
+            lambda place, step: place - step,
+            complex(c * x + s * y, c * y - s * x),
+            _OPTIONS,
+        )
+        if at.solved is None:
+            return None
+        right, forward, variance = place.real, place.imag, at.solved[1]
         own = _FIXED_SHARE**2 * (right**2 + forward**2)
         rr, rf, ff = variance
         # From the current view's axes into the target's frame.
@@ -177,6 +179,27 @@ class Structure:
                 s * s * rr + 2.0 * s * c * rf + c * c * ff + own,
             ),
         )
+
+
+class _Place(NamedTuple):
+    """A place, right + i forward, and the step from there with its variances if they are known."""
+
+    place: complex
+    solved: tuple[tuple[float, float], tuple[float, float, float]] | None
+
+
+def _linearised(seen: _Seen, place: complex, sigma: float) -> _Place:
+    return _Place(place, _solve(*_normal_equations(seen, place.real, place.imag, sigma)))
+
+
+def _step(at: _Place) -> Solved[complex]:
+    """Return the step; its gain is its squared length as a part of the distance."""
+    if at.solved is None:
+        return Solved(0j, -1.0)
+    step = complex(*at.solved[0])
+    right, forward = at.place.real - step.real, at.place.imag - step.imag
+    distance2 = max(right**2 + forward**2, 1e-300)
+    return Solved(step, (step.real**2 + step.imag**2) / distance2)
 
 
 class _Chosen(NamedTuple):
@@ -240,7 +263,8 @@ def _normal_equations(
     residual = rows[3]
     spread = max(sigma, mad_sd(residual))
     scaled = residual * (1.0 / (_KERNEL_SIGMAS * spread))
-    weighted = rows / (1.0 + scaled * scaled)
+    scaled *= scaled
+    weighted = rows * cauchy(scaled)
     return weighted.dot(rows.T).tolist(), spread**2
 
 

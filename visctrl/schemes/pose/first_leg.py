@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.losses import huber
 from visctrl.geometry.trifocal.transfer import wrap_half_turn
 
 Array = NDArray[np.float64]
@@ -141,7 +142,7 @@ def scale_of(leg: Leg, beta: Array, phi: Array, spread: float = 0.05) -> tuple[A
     for _ in range(3):
         q = np.einsum("sn,sn->s", pull, along) / np.einsum("sn,sn->s", pull, square)
         scaled = np.abs(rho - q[:, None] * k)
-        pull = np.minimum(1.0, HUBER / np.maximum(scaled, 1e-12))
+        pull = huber(scaled, HUBER)
     # Huber's loss, as a sum of squares.
     clipped = np.minimum(scaled, HUBER)
     return q, np.sum(clipped * (2.0 * scaled - clipped), axis=1)

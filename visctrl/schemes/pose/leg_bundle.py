@@ -8,19 +8,36 @@ there are bearings. Everything works on S candidate solutions at once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.geometry.robust.least_squares import (
+    Damping,
+    Options,
+    Problem,
+    Solved,
+    levenberg_marquardt,
+)
+from visctrl.geometry.robust.losses import huber
 from visctrl.geometry.trifocal.transfer import Transfer, transfer_bearing, wrap_half_turn
 from visctrl.schemes.pose.first_leg import HUBER, Leg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: The common part and the bearing errors of one candidate.
+Common = tuple[Array, Array]
+
 #: Entries of the common part before the turns: β, φ1, q.
 BASE = 3
+#: A step with less gain is the last: 0.003 standard deviations.
+_CONVERGED = 1e-5
+#: The first steps are far from quadratic; a hundredth of damping loses none of the solutions.
+_DAMPING = Damping(start=1e-2, shrink=0.2, grow=8.0, floor=1e-4)
 
 
 @dataclass(frozen=True)
@@ -45,9 +62,14 @@ class Candidates:
         """Return some of them."""
         return Candidates(self.common[index], self.errors[index])
 
+    @classmethod
+    def stacked(cls, each: Sequence[Common]) -> Candidates:
+        """Return candidates from each one's common part (3 + F,) and errors (2, N)."""
+        common, errors = zip(*each, strict=True)
+        return cls(np.array(common), np.array(errors))
 
-@dataclass(frozen=True)
-class Normal:
+
+class Normal(NamedTuple):
     """Normal equations in arrow shape, and the cost.
 
     The features' part is a symmetric 2 × 2 block each: (a, b; b, c).
@@ -80,7 +102,7 @@ def normal_equations(leg: Leg, at: Candidates, weight: Array) -> Normal:
     """Return the normal equations with Huber's weights times ``weight`` (S, F, N)."""
     residual, base, errors = residuals(leg, at)
     size = np.abs(residual)
-    pull = weight * np.minimum(1.0, HUBER / np.maximum(size, 1e-12))
+    pull = weight * huber(size, HUBER)
     inverse = 1.0 / _sigma(leg)
     turn = pull * inverse
     pulled_base, pulled_errors = pull * base, pull * errors
@@ -119,26 +141,38 @@ def normal_equations(leg: Leg, at: Candidates, weight: Array) -> Normal:
     return Normal(cost, common, cross, feature, common_rhs, feature_rhs)
 
 
+class _LegProblem(Problem[Common, None, Normal, Common]):
+    """Candidate solutions of one leg side by side, each (β, φ1, q, ψ) and the bearing errors."""
+
+    def __init__(self, leg: Leg, weight: Array) -> None:
+        self._leg, self._weight = leg, weight
+
+    def linearise(self, points: list[Common]) -> tuple[None, list[float], list[Normal]]:
+        """Return costs and normal equations (see the contract)."""
+        found = normal_equations(self._leg, Candidates.stacked(points), self._weight)
+        normals = [Normal(*(part[k] for part in found)) for k in range(len(points))]
+        return None, found.cost.tolist(), normals
+
+    def steps(self, normals: list[Normal], damping: list[float]) -> list[Solved[Common]]:
+        """Return the steps by the Schur complement of the bearing errors (see the contract)."""
+        normal = Normal(*(np.stack(parts) for parts in zip(*normals, strict=True)))
+        common, errors = _step(normal, np.array(damping))
+        gain = np.sum(common * normal.common_rhs, axis=1)
+        gain += np.sum(errors * normal.feature_rhs, axis=(1, 2))
+        steps = zip(zip(common, errors, strict=True), gain.tolist(), strict=True)
+        return [Solved(step, saved) for step, saved in steps]
+
+    def moved(self, point: Common, step: Common, part: float) -> Common:
+        """Return a candidate after a part of a step."""
+        return point[0] + part * step[0], point[1] + part * step[1]
+
+
 def descend(leg: Leg, at: Candidates, weight: Array, iterations: int) -> tuple[Candidates, Array]:
     """Return where Levenberg–Marquardt leads each candidate, and the costs (S,)."""
-    damping = np.full(len(at.common), 1e-2)
-    normal = normal_equations(leg, at, weight)
-    for _ in range(iterations):
-        common, errors = _step(normal, damping)
-        trial = Candidates(at.common + common, at.errors + errors)
-        found = normal_equations(leg, trial, weight)
-        better = found.cost < normal.cost
-        gain = normal.cost - found.cost
-        damping = np.where(better, damping * 0.2, np.maximum(damping, 1e-4) * 8.0)
-        at = Candidates(
-            _choose(better, trial.common, at.common), _choose(better, trial.errors, at.errors)
-        )
-        normal = Normal(*(_choose(better, vars(found)[k], v) for k, v in vars(normal).items()))
-        if not (better & (gain > 1e-4)).any() and (damping > 1e-3).all():
-            break
-        if better.all() and (gain < 1e-6).all():
-            break
-    return at, normal.cost
+    options = Options(iterations + 1, converged=_CONVERGED, damping=_DAMPING)
+    points = list(zip(at.common, at.errors, strict=True))
+    found = levenberg_marquardt(_LegProblem(leg, weight), points, options)
+    return Candidates.stacked(found.evaluated), np.array(found.costs)
 
 
 def covariance(normal: Normal, keep: NDArray[np.intp]) -> Array:
@@ -245,7 +279,3 @@ def _step(normal: Normal, damping: Array) -> tuple[Array, Array]:
     rhs = normal.common_rhs - (normal.feature_rhs.reshape(candidates, 1, -1) @ flat)[:, 0]
     step = np.asarray(np.linalg.solve(reduced, rhs[..., None])[..., 0], dtype=np.float64)
     return step, own - (flat @ step[..., None]).reshape(own.shape)
-
-
-def _choose(which: Mask, a: Array, b: Array) -> Array:
-    return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
