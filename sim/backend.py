@@ -16,11 +16,8 @@ from visctrl.hal.interfaces import Backend, BackendSetup, Base, Camera
 from visctrl.hal.types import Frame, Odometry, Pose, Range, Velocity
 from visctrl.robots import Robot
 from visctrl.sim.options import Changes, SimOptions
-from visctrl.sim.render.imaging import Sensor
-from visctrl.sim.render.renderer_choice import open_renderer
-from visctrl.sim.render.shake import Shake
 from visctrl.sim.world.changes import changed
-from visctrl.sim.world.eye import Eye
+from visctrl.sim.world.eye import open_eye
 from visctrl.sim.world.people import Walker, people
 from visctrl.sim.world.physics import Physics
 from visctrl.sim.world.scene import Item, Scene, load_scene
@@ -109,7 +106,7 @@ class SimBackend(Backend):
             The scene or renderer cannot be used, or the start or the target is not free.
         """
         setup, options = self.setup, self.setup.options
-        scene = self._scene()
+        scene = self.scene()
         walkers = people(scene, options.people, setup.seed)
         scene = changed(scene, options.changes)
         scene = scene.model_copy(update={"items": (*scene.items, *(w.item for w in walkers))})
@@ -138,7 +135,7 @@ class SimBackend(Backend):
             frames = [world.photograph(self.clock.now()) for _ in range(count)]
             world.put(self.setup.start)
             return frames
-        eye = self._eye(self._scene(), Changes(), ())
+        eye = open_eye(self.setup, self.scene(), Changes())
         try:
             return [eye.photograph(self.clock.now(), _TARGET, moving=False) for _ in range(count)]
         finally:
@@ -165,7 +162,8 @@ class SimBackend(Backend):
         """See `Backend.collisions`."""
         return self._world.physics.contacts if self._world is not None else 0
 
-    def _scene(self) -> Scene:
+    def scene(self) -> Scene:
+        """Return the scene as it was when the target's image was taken."""
         scene = load_scene(self.setup.options.scene)
         boxes = [
             Item(
@@ -185,7 +183,7 @@ class SimBackend(Backend):
             raise CameraError("the true camera's images have another size than the calibration's")
         physics = Physics(scene, self.robot, options.gui)
         try:
-            eye = self._eye(scene, options.changes, walkers)
+            eye = open_eye(setup, scene, options.changes, walkers)
         except BaseException:
             physics.close()
             raise
@@ -196,31 +194,6 @@ class SimBackend(Backend):
             options.actuation,
             (setup.mount.forward_m + options.mount_error.forward_m, options.mount_error.left_m),
             options.scatter.drawer(np.random.default_rng([setup.seed, 4])),
-            walkers,
-        )
-
-    def _eye(self, scene: Scene, changes: Changes, walkers: Sequence[Walker]) -> Eye:
-        """Return the camera in a scene; of ``changes``, those of its exposure count."""
-        setup, options, model = self.setup, self.setup.options, self.setup.true_camera
-        renderer = open_renderer(options.renderer, scene, model, options.detail, options.show_floor)
-        sensor = Sensor(
-            model.width,
-            model.height,
-            options.image_noise,
-            options.blur_px,
-            options.exposure,
-            setup.seed,
-            veil=options.veil,
-            gain=changes.gain,
-            gamma=changes.gamma,
-        )
-        return Eye(
-            renderer,
-            sensor,
-            setup.mount.height_m + options.mount_error.height_m,
-            options.latency_s,
-            options.shutter_s,
-            Shake(model, options.shake_deg, setup.seed) if options.shake_deg else None,
             walkers,
         )
 

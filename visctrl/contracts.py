@@ -111,18 +111,33 @@ class Views:
         return np.full((3, len(self)), self.sigma)
 
 
+class MatchedMotion(NamedTuple):
+    """Where the initial view was taken, in the target's frame, up to the distance (rad).
+
+    phi : heading, counter-clockwise. direction : bearing of its place, clockwise from forward.
+    phi_sd, direction_sd : their standard deviations.
+    """
+
+    phi: float
+    direction: float
+    phi_sd: float
+    direction_sd: float
+
+
 @dataclass(frozen=True)
 class Match:
     """How the target and initial views were matched.
 
     candidates : descriptor matches before the geometric check; inliers : after it.
     target_pixels, initial_pixels : (inliers, 2) image points, for drawing.
+    motion : what matching found; None where it did not look for any.
     """
 
     candidates: int
     inliers: int
     target_pixels: Array
     initial_pixels: Array
+    motion: MatchedMotion | None = None
 
 
 @dataclass(frozen=True)

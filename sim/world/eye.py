@@ -11,11 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Frame, Pose
+from visctrl.sim.options import Changes, SimOptions
 from visctrl.sim.render.imaging import Sensor
 from visctrl.sim.render.renderer import Renderer
+from visctrl.sim.render.renderer_choice import open_renderer
 from visctrl.sim.render.shake import Shake
 from visctrl.sim.world.people import Walker
+from visctrl.sim.world.scene import Scene
 
 Image = NDArray[np.uint8]
 
@@ -105,3 +109,39 @@ class Eye:
         for walker in self._walkers:
             self.renderer.place(walker.item.name, walker.pose(t))
         return self.renderer.render(pose, self._height_m)
+
+
+def open_eye(
+    setup: BackendSetup[SimOptions],
+    scene: Scene,
+    changes: Changes,
+    walkers: Sequence[Walker] = (),
+) -> Eye:
+    """Return the camera of a simulated robot in a scene; of ``changes``, its exposure's count.
+
+    Raises
+    ------
+    InputError
+        The renderer does not work here.
+    """
+    options, model = setup.options, setup.true_camera
+    sensor = Sensor(
+        model.width,
+        model.height,
+        options.image_noise,
+        options.blur_px,
+        options.exposure,
+        setup.seed,
+        veil=options.veil,
+        gain=changes.gain,
+        gamma=changes.gamma,
+    )
+    return Eye(
+        open_renderer(options.renderer, scene, model, options.detail, options.show_floor),
+        sensor,
+        setup.mount.height_m + options.mount_error.height_m,
+        options.latency_s,
+        options.shutter_s,
+        Shake(model, options.shake_deg, setup.seed) if options.shake_deg else None,
+        walkers,
+    )

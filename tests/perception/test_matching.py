@@ -67,7 +67,7 @@ def test_planar_motion_keeps_what_is_right(canvas, target, initial):
 
 
 def test_landmarks_mean_the_same_point_in_both_views(canvas, target, initial):
-    shared = find_landmarks(target, initial, canvas, 20, 0)
+    shared = find_landmarks(target, initial, canvas, room(NAME, WIDTH).camera, 20, 0)
     landmarks = shared.landmarks
     assert landmarks is not None
     assert shared.inliers == len(landmarks) <= shared.candidates
@@ -75,12 +75,14 @@ def test_landmarks_mean_the_same_point_in_both_views(canvas, target, initial):
     error = errors_deg(landmarks.initial.rays, truth)
     assert np.median(error) < 0.08
     assert np.percentile(error, 95) < 0.4
-    unaligned = find_landmarks(target, initial, canvas, len(landmarks) + 1, 0)
+    unaligned = find_landmarks(
+        target, initial, canvas, room(NAME, WIDTH).camera, len(landmarks) + 1, 0
+    )
     assert unaligned.landmarks is None
 
 
 def test_landmarks_are_recognised_from_somewhere_in_between(canvas, target, initial):
-    landmarks = find_landmarks(target, initial, canvas, 20, 0).landmarks
+    landmarks = find_landmarks(target, initial, canvas, room(NAME, WIDTH).camera, 20, 0).landmarks
     assert landmarks is not None
     pose = TARGET._replace(x=-0.1, y=-0.5, phi=np.radians(30))
     picture = draw(room(NAME, WIDTH).frame(pose, 5, noise=2.0).image, canvas)

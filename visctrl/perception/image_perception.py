@@ -13,6 +13,7 @@ from pydantic import Field
 from visctrl.contracts import Context, Health, Match, Perception, Views
 from visctrl.hal.errors import InputError
 from visctrl.hal.types import Frame
+from visctrl.perception.ambiguity import AmbiguousMatchError
 from visctrl.perception.landmarks import Landmarks, find_landmarks
 from visctrl.perception.matching import Described, describe
 from visctrl.perception.patch_alignment import HALF
@@ -34,12 +35,15 @@ class ImagePerceptionOptions(StrictModel):
     keypoints : SIFT keypoints per image.
     min_matches : features that must agree between target and initial view.
     min_features : features below which a view counts as lost.
+    accept_ambiguous : drive even where another place explains the start as well (see
+        `visctrl.perception.ambiguity`).
     px_per_rad : resolution of the cylindrical unwrap; by default the camera's own.
     """
 
     keypoints: Annotated[int, Field(ge=50, le=5000)] = 2000
     min_matches: Annotated[int, Field(ge=8)] = 20
     min_features: Annotated[int, Field(ge=5)] = 10
+    accept_ambiguous: bool = False
     px_per_rad: Annotated[float, Field(gt=20, le=2000)] | None = None
 
 
@@ -83,12 +87,20 @@ class ImagePerception(Perception[ImagePerceptionT]):
             raise InputError(f"the initial image {picture.complaint}")
         initial = picture, self._describe(picture.image)
         needed = self.options.min_matches
-        shared = find_landmarks(self._target, initial, self.canvas, needed, self.context.seed)
+        shared = find_landmarks(
+            self._target, initial, self.canvas, camera, needed, self.context.seed
+        )
         if shared.landmarks is None:
             raise InputError(
                 f"target not recognised from the start: {shared.inliers} features agree, "
                 f"{needed} needed ({shared.candidates} looked alike): start nearer to the "
                 "target or facing it more, or check that the target shows this place"
+            )
+        evidence = shared.evidence
+        assert evidence is not None
+        if evidence.objection and not self.options.accept_ambiguous:
+            raise AmbiguousMatchError(
+                f"the start cannot be told for certain: {evidence.objection}", evidence.matched
             )
         self._landmarks = shared.landmarks
         self._last = None
@@ -98,6 +110,7 @@ class ImagePerception(Perception[ImagePerceptionT]):
             shared.inliers,
             camera.robot_pixels(shared.landmarks.target.rays)[0],
             camera.robot_pixels(shared.landmarks.initial.rays)[0],
+            evidence.matched,
         )
 
     def update(self, frame: Frame) -> Views:

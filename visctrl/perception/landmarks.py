@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.two_view.planar import PlanarMotion, refine_planar_motion, sampson_residuals
+from visctrl.hal.cameras.central import CentralCamera
+from visctrl.perception.ambiguity import Evidence, weigh
 from visctrl.perception.matching import Described, mutual_matches, planar_inliers
 from visctrl.perception.patch_alignment import Patches, Source
 from visctrl.perception.pictures import Picture
@@ -63,24 +65,29 @@ class Recognised:
 
 @dataclass(frozen=True)
 class Shared:
-    """The outcome of matching two views: candidates, and the landmarks if there are enough."""
+    """The outcome of matching two views: candidates, and the landmarks if there are enough.
+
+    evidence : what speaks for and against them.
+    """
 
     candidates: int
     inliers: int
-    landmarks: Landmarks | None
+    landmarks: Landmarks | None = None
+    evidence: Evidence | None = None
 
 
 def find_landmarks(
     target: tuple[Picture, Described],
     initial: tuple[Picture, Described],
     canvas: Canvas,
+    camera: CentralCamera,
     minimum: int,
     seed: int,
 ) -> Shared:
     """Match the target with the initial view and keep what one planar motion explains.
 
     The initial positions are then aligned on the target's patches, to a tenth of a pixel where
-    the two look alike, and judged once more.
+    the two look alike, and judged once more. Whether another motion explains as much is weighed.
     """
     (_, a), (_, b) = target, initial
     at_target, at_start = (Source(view.frame, canvas.pixels) for view, _ in (target, initial))
@@ -89,7 +96,8 @@ def find_landmarks(
     motion = planar_inliers(a.rays, b.rays, canvas, seed)
     kept = motion.inliers
     if kept.sum() < minimum:
-        return Shared(len(first), int(kept.sum()), None)
+        return Shared(len(first), int(kept.sum()))
+    pairs = first[kept], second[kept]
     a, b = a.subset(kept), b.subset(kept)
     patches = Patches((at_target, a.points))
     warps = np.eye(2) * (b.sizes / a.sizes)[:, None, None]
@@ -100,7 +108,18 @@ def find_landmarks(
     b = Described(points, canvas.rays(points), b.sizes, b.descriptors)
     motion, agree = _refined(a.rays, b.rays, motion, good, _ALIGNED_SIGMA_PX / canvas.scale)
     if agree.sum() < minimum:
-        return Shared(len(first), int(agree.sum()), None)
+        return Shared(len(first), int(agree.sum()))
+    evidence = weigh(
+        target,
+        initial,
+        (pairs[0][agree], pairs[1][agree]),
+        points[agree],
+        good[agree],
+        motion,
+        canvas,
+        camera,
+        seed,
+    )
     a, b = a.subset(agree), b.subset(agree)
     landmarks = Landmarks(
         a,
@@ -109,7 +128,7 @@ def find_landmarks(
         ThreeViewMap(a.rays, b.rays, motion, _ALIGNED_SIGMA_PX / canvas.scale),
         np.where(good, found.score, 0.0)[agree],
     )
-    return Shared(len(first), int(agree.sum()), landmarks)
+    return Shared(len(first), int(agree.sum()), landmarks, evidence)
 
 
 def recognise(

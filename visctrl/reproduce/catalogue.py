@@ -162,6 +162,11 @@ _ENTRIES = (
         "visctrl.reproduce.chapter4_figures:robot_4_8",
     ),
     Entry(
+        "matches",
+        "first matches in 42 worlds, wrong ones and needless refusals (the project's own)",
+        "visctrl.reproduce.matches:matches",
+    ),
+    Entry(
         "calibrate-camera",
         "(ξ, K) from rendered boards, every camera (bounds are the project's own)",
         "visctrl.reproduce.calibration:cameras",
