@@ -12,6 +12,7 @@ from visctrl.contracts import Estimate, Perception
 from visctrl.hal.errors import BaseFaultError
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Range, Velocity
+from visctrl.runtime.boundaries import check_odometry, check_sent
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.interrupts import Interrupts
@@ -138,6 +139,7 @@ class Loop:
             else:
                 self._stop.check()
                 sent = base.command(velocity)
+                check_sent(sent)
             self._watchdog.feed(moving=sent != STANDSTILL)
         self._guard.was_sent(sent, self._backend.clock.now())
         return sent
@@ -191,7 +193,9 @@ class Loop:
         status = self._backend.base.status()
         if status.faults:
             raise BaseFaultError("; ".join(status.faults))
-        return self._backend.base.odometry(), status.battery_v
+        odometry = self._backend.base.odometry()
+        check_odometry(odometry)
+        return odometry, status.battery_v
 
     def _command(self, frame: Frame, pipeline: Pipeline) -> None:
         now = self._backend.clock.now()

@@ -21,6 +21,15 @@ from visctrl.contracts import (
 )
 from visctrl.hal.types import STANDSTILL, Frame, Range, Velocity
 from visctrl.robots.errors import InputError, VisctrlError
+from visctrl.runtime.boundaries import (
+    Checkpoint,
+    lost,
+    sound_estimate,
+    sound_frame,
+    sound_ranges,
+    sound_views,
+    unsound_obstacle,
+)
 
 T = TypeVar("T")
 
@@ -154,6 +163,7 @@ class Pipeline:
         self._steering: Velocity = STANDSTILL
         self._acted_s = 0.0
         self._steered = False
+        self._checkpoint = Checkpoint(stage.estimator)
 
     def tick(self, frame: Frame, problem: str, dt: float) -> tuple[Views, Estimate]:
         """Do one tick; the decision is kept.
@@ -169,9 +179,9 @@ class Pipeline:
             The estimate is not what the controller takes.
         """
         self.event = ""
-        views = self._see(frame, problem)
+        views, refused = self._see(frame, problem)
         self._watch.after("perception")
-        estimate = self._locate(views, dt)
+        estimate = self._locate(views, refused, dt)
         self._watch.after("estimation")
         self._decide(estimate, dt)
         self._watch.after("control")
@@ -204,20 +214,37 @@ class Pipeline:
         )
         return tuple((name, plugin) for name, plugin in everybody if plugin.signals)
 
-    def _see(self, frame: Frame, problem: str) -> Views:
+    def _see(self, frame: Frame, problem: str) -> tuple[Views, str]:
+        """Return the views, and why the frame or they were refused."""
         if problem:
-            return Views.nothing(frame.stamp, problem)
+            return Views.nothing(frame.stamp, problem), problem
+        who = f"perception '{self._perception_name}'"
         try:
-            return self._perception.update(frame)
+            views = self._perception.update(sound_frame(frame))
         except Exception as error:
-            raise PluginError(f"perception '{self._perception_name}'", error) from error
+            raise PluginError(who, error) from error
+        _check_type(who, views, Views)
+        return sound_views(views)
 
-    def _locate(self, views: Views, dt: float) -> Estimate:
-        stage = self.stage
+    def _locate(self, views: Views, refused: str, dt: float) -> Estimate:
+        """Return the estimate; no estimator may guess its way past what had to be refused."""
+        stage, who = self.stage, f"estimator '{self.stage.estimator_name}'"
+        sent = self.sent
         try:
-            estimate = stage.estimator.update(views, self.sent, dt)
+            estimate = stage.estimator.update(views, sent, dt)
         except Exception as error:
-            raise PluginError(f"estimator '{stage.estimator_name}'", error) from error
+            raise PluginError(who, error) from error
+        _check_type(who, estimate, Estimate)
+        estimate, sound = sound_estimate(estimate)
+        try:
+            if sound:
+                self._checkpoint.passed(views, sent, dt)
+            else:
+                self._checkpoint.go_back(estimate.reason, views.stamp, sent, dt)
+        except Exception as error:
+            raise PluginError(who, error) from error
+        if refused:
+            estimate = lost(estimate, refused)
         if not isinstance(estimate, stage.controller.accepts):
             raise InputError(
                 f"estimator '{stage.estimator_name}' gives {type(estimate).__name__}, controller "
@@ -235,13 +262,17 @@ class Pipeline:
             self.hold(estimate.reason or "features lost")
             self.decision = Decision(STANDSTILL, self.decision.phase)
             return
-        stage = self.stage
-        if stage.obstacles:
-            stage.controller.sense(self._obstacles(estimate))
+        stage, who = self.stage, f"controller '{self.stage.controller_name}'"
         try:
-            self.decision = stage.controller.update(estimate, self._steering, self._acted_s)
+            if stage.obstacles:
+                stage.controller.sense(self._obstacles(estimate))
+            decision = stage.controller.update(estimate, self._steering, self._acted_s)
+        except PluginError:
+            raise
         except Exception as error:
-            raise PluginError(f"controller '{stage.controller_name}'", error) from error
+            raise PluginError(who, error) from error
+        _check_type(who, decision, Decision)
+        self.decision = decision
         self._steering, self._acted_s = STANDSTILL, 0.0
 
     def _obstacles(self, estimate: Estimate) -> list[Obstacle]:
@@ -249,9 +280,20 @@ class Pipeline:
         found: list[Obstacle] = []
         now = self._watch.now()
         for name, provider in self.stage.obstacles.items():
-            ranges = self._watch.ranges() if provider.listens else ()
+            ranges = sound_ranges(self._watch.ranges()) if provider.listens else ()
             try:
-                found += provider.update(estimate, ranges, now)
+                obstacles = provider.update(estimate, ranges, now)
+                if problem := unsound_obstacle(obstacles):
+                    raise ValueError(problem)
             except Exception as error:
                 raise PluginError(f"obstacle provider '{name}'", error) from error
+            found += obstacles
         return found
+
+
+def _check_type(who: str, given: object, wanted: type) -> None:
+    """Raise PluginError where a plugin has given something else than its contract says."""
+    if not isinstance(given, wanted):
+        article = "an" if wanted is Estimate else "a"
+        what = f"gave {type(given).__name__}, not {article} {wanted.__name__}"
+        raise PluginError(who, TypeError(what))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from visctrl.contracts import Health
 from visctrl.hal.actuation import Limiter
 from visctrl.hal.errors import StaleFrameError
@@ -83,8 +85,8 @@ class Guard:
         self._seen_at = now
 
     def too_old(self, frame: Frame, now: float) -> bool:
-        """Return whether a frame is no view of the present any more at ``now`` (s)."""
-        return now - frame.stamp > self._options.max_frame_age_s
+        """Return whether a frame is no view of the present at ``now`` (s): old, or of no time."""
+        return not abs(now - frame.stamp) <= self._options.max_frame_age_s
 
     def frame_problem(self, frame: Frame, now: float) -> str:
         """Return why a frame must not be used at ``now`` (s), empty if it may be.
@@ -97,6 +99,10 @@ class Guard:
         if not self.too_old(frame, now):
             return ""
         age = now - frame.stamp
+        if not math.isfinite(age):
+            return f"the frame's stamp is not a time: {frame.stamp}"
+        if age < 0.0:
+            return f"the frame's stamp lies {-age:.2f} s ahead"
         if age > self._options.frozen_timeout_s:
             raise StaleFrameError(
                 f"the camera has frozen: its newest frame is {age:.1f} s old (allowed "
