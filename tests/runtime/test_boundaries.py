@@ -83,7 +83,7 @@ class Spoiler:
                 spoilt[each.name] = math.nan
             elif isinstance(value, np.ndarray):
                 spoilt[each.name] = np.full_like(value, self.value)
-            elif isinstance(value, tuple):
+            elif hasattr(value, "_asdict"):
                 numbers = {n: math.nan for n, v in value._asdict().items() if isinstance(v, float)}
                 spoilt[each.name] = value._replace(**numbers)
         for name, value in vars(estimator).items():
