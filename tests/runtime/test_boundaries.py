@@ -100,7 +100,7 @@ def spoilt_plan(scheme: str, spoiler: Spoiler) -> Plan:
     overrides = [parse_setting(text) for text in (*texts, "approach.enabled=false")]
     if scheme == "pose":
         overrides.append(parse_setting("controller.tau_s=15"))
-    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.known()))
+    plan = make_plan(load_scenario("default", overrides, REGISTRIES.backends.names()))
     perceiver: Any = plan.perception.cls
     estimator: Any = plan.main.estimator.cls
     controller: Any = plan.main.controller.cls
