@@ -75,6 +75,8 @@ def run(
     """
     plan = make_plan(load_for_backend(scenario, overrides, flags))
     console = Console(stderr=True)
+    for note in plan.notes:
+        print(f"visctrl: {note}", file=sys.stderr)
     with (
         _stdout_as_stderr(),
         watchers(plan, watching) as outside,

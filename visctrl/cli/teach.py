@@ -78,6 +78,7 @@ def teach(
             backend=loaded.scenario.backend,
             robot=plan.robot.name,
             taken=now_text(),
+            mount=plan.mount,
         )
     quality = assess(frames, plan.camera)
     findings = judge(quality)

@@ -70,6 +70,7 @@ class Plan:
     limits : bounds of speed and acceleration, None for an ideal robot.
     target : the target view, None where a simulated robot takes it itself.
     approach : the turn towards the target; None where the run goes without.
+    notes : what the user should know before it starts, a sentence each.
     """
 
     scenario: Scenario
@@ -84,6 +85,7 @@ class Plan:
     perception: Chosen[Perception[Any]]
     approach: StagePlan | None
     main: StagePlan
+    notes: tuple[str, ...] = ()
 
     @property
     def scheme(self) -> Scheme:
@@ -164,8 +166,11 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
     with loaded.looking_up("camera_error"):
         true_camera = _true(camera, scenario.camera_error)
     limits = effective_limits(robot, scenario.safety, loaded.origin_of("safety"))
+    note = ""
     with loaded.looking_up("target", "file"):
-        target = _target(scenario.target.file, camera)
+        if (target := _target(scenario.target.file, camera)) is not None:
+            file = str(scenario.target.file)
+            note = target.check_mount(mount, robot.name, scheme, file)
     if scenario.record_images and backend.delivers_features:
         raise InputError(
             f"{loaded.origin_of('record_images')}: key 'record_images': backend "
@@ -188,6 +193,7 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         perception=perception,
         approach=turn,
         main=main,
+        notes=(note,) if note else (),
     )
 
 

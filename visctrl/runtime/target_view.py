@@ -17,7 +17,9 @@ from visctrl.hal.types import Frame, Pose
 from visctrl.robots.documents import StrictModel, parse_json, validate
 from visctrl.robots.errors import InputError
 from visctrl.robots.files import replacing, writing
+from visctrl.robots.model import Mount
 from visctrl.runtime.archive import read_archive
+from visctrl.schemes.scheme import Scheme
 
 #: Raised when what a file holds changes.
 _FORMAT = 1
@@ -26,6 +28,8 @@ _KEYS = ("format", "images", "camera", "facts")
 _MOST_PICTURES, _MOST_TEXT = 512_000_000, 1_000_000
 #: Fields of a camera that may differ between teaching and driving.
 _HARMLESS = frozenset({"name"})
+#: Places of a camera on its robot this close (m) are the same: as well as one can measure them.
+_SAME_PLACE_M = 0.005
 #: Relative difference of calibrations that counts as rounding.
 _ROUNDING = 1e-9
 
@@ -37,6 +41,7 @@ class _Facts(StrictModel):
     backend: str
     robot: str
     taken: str
+    mount: Mount | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,7 @@ class TargetView:
     odometry : pose of the base in its own odometry, where it is known.
     backend, robot : what took them.
     taken : when, ISO 8601.
+    mount : where the camera sat; None in files that do not say.
     """
 
     images: NDArray[np.uint8]
@@ -56,6 +62,7 @@ class TargetView:
     backend: str = ""
     robot: str = ""
     taken: str = ""
+    mount: Mount | None = None
 
     def frames(self) -> list[Frame]:
         """Return the pictures as a camera would deliver them."""
@@ -74,6 +81,7 @@ class TargetView:
             "backend": self.backend,
             "robot": self.robot,
             "taken": self.taken,
+            "mount": None if self.mount is None else self.mount.model_dump(),
         }
         with writing(path), replacing(path) as fresh, fresh.open("wb") as file:
             np.savez_compressed(
@@ -104,6 +112,38 @@ class TargetView:
                 f"'{camera.name}': {'; '.join(different)}. Use the same camera, or teach again"
             )
 
+    def check_mount(self, mount: Mount, robot: str, scheme: Scheme, origin: str) -> str:
+        """Compare where the camera sat with where it sits now; return what to mind, or "".
+
+        Raises
+        ------
+        InputError
+            The scheme needs the camera at the height of the target view, and it is not.
+        """
+        if self.mount is None:
+            return ""
+        there, here = self.mount, mount
+        who = f"{origin}: the target was taught on robot '{self.robot}'"
+        if abs(there.height_m - here.height_m) > _SAME_PLACE_M:
+            heights = (
+                f"{who}, its camera {there.height_m:g} m above the floor; on '{robot}' it is "
+                f"{here.height_m:g} m"
+            )
+            if scheme.same_height:
+                raise InputError(
+                    f"{heights}, and this scheme needs the same height: move the camera, teach "
+                    "again, or use a scheme that measures azimuths alone, such as 'trifocal'"
+                )
+            return f"{heights}: fewer features may be recognised"
+        ahead = here.forward_m - there.forward_m
+        if abs(ahead) > _SAME_PLACE_M:
+            return (
+                f"{who}, its camera {there.forward_m:g} m ahead of the axle; on '{robot}' it is "
+                f"{here.forward_m:g} m: the camera will be where it was, the robot "
+                f"{abs(ahead):g} m {'behind' if ahead > 0.0 else 'ahead of'} there"
+            )
+        return ""
+
 
 def now_text() -> str:
     """Return the date and time as a target view keeps them."""
@@ -129,7 +169,9 @@ def load_target(path: Path) -> TargetView:
     if images.shape[1:] != (camera.height, camera.width):
         raise InputError(f"{path}: its images do not have the size of its camera")
     odometry = None if facts.odometry is None else Pose(*facts.odometry)
-    return TargetView(images, camera, odometry, facts.backend, facts.robot, facts.taken)
+    return TargetView(
+        images, camera, odometry, facts.backend, facts.robot, facts.taken, facts.mount
+    )
 
 
 def _json(content: NDArray[Any], origin: str) -> dict[str, Any]:

@@ -13,6 +13,8 @@ class Scheme:
     identified : for backends that deliver identified features (the mock).
     mount : where the camera sits if the scenario does not say.
     approach : whether the robot first turns to the target when it does not head there.
+    same_height : whether the camera must be as high as it was at the target view. What uses
+        azimuths alone does not care; planar epipoles do.
     """
 
     title: str
@@ -22,3 +24,4 @@ class Scheme:
     identified: str = "features"
     mount: str = "centre"
     approach: bool = True
+    same_height: bool = False

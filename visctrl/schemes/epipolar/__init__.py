@@ -12,4 +12,5 @@ SCHEME = Scheme(
     estimator="epipoles",
     controller="epipolar-smooth",
     approach=False,
+    same_height=True,
 )

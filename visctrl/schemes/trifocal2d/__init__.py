@@ -9,4 +9,5 @@ SCHEME = Scheme(
     estimator="tensor2d",
     controller="trifocal2d",
     approach=False,
+    same_height=True,
 )
