@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from visctrl.schemes.pose.first_leg import Leg
-from visctrl.schemes.pose.leg_start import Start, solve_leg
+from visctrl.schemes.pose.leg_start import LegSolution, solve_leg
 
 DATA = Path(__file__).parents[1] / "data"
 SIGMA = 4e-4
@@ -56,7 +56,7 @@ def starts(count: int) -> list[np.ndarray]:
     return list(rng.uniform(low, high, (count, 3)))
 
 
-def turned(found: Start, pose: np.ndarray) -> float:
+def turned(found: LegSolution, pose: np.ndarray) -> float:
     """Return how far the direction of C1 is off (rad)."""
     return abs(math.remainder(found.beta - math.atan2(pose[0], -pose[1]), math.tau))
 

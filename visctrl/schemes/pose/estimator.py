@@ -15,10 +15,8 @@ from visctrl.geometry.trifocal.transfer import bearings
 from visctrl.hal.types import Velocity
 from visctrl.robots.documents import StrictModel
 from visctrl.schemes.pose.estimate import POSE_SIGNALS, Need, PoseEstimate
-from visctrl.schemes.pose.first_leg import Leg
-from visctrl.schemes.pose.leg_collector import ForwardLeg
-from visctrl.schemes.pose.leg_start import Start, solve_leg
-from visctrl.schemes.pose.motion_model import MotionNoise, RampedVelocity
+from visctrl.schemes.pose.first_leg import ForwardLeg, Leg, MotionNoise, RampedVelocity
+from visctrl.schemes.pose.leg_start import LegSolution, solve_leg
 from visctrl.schemes.pose.schmidt_ekf import CORE, Innovation, SchmidtEkf
 
 Array = NDArray[np.float64]
@@ -84,7 +82,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
         """Forget everything: a new initial view has been taken here."""
         self._ramp = RampedVelocity(self.context.limits)
         self._leg = ForwardLeg()
-        self._start: Start | None = None
+        self._start: LegSolution | None = None
         self._next_try = self.options.leg_min_m
         self._frames = 0
         self._failed = ""
@@ -157,7 +155,7 @@ class PoseTransfer(Estimator[TransferOptions, PoseEstimate]):
     def _need(self) -> Need:
         return Need.STILL if self._frames < self.options.initial_frames else Need.FORWARD
 
-    def _settled(self, start: Start) -> bool:
+    def _settled(self, start: LegSolution) -> bool:
         """Return whether the leg tells the start well enough, or as well as it ever will."""
         if not start.finite or 2 * start.used.sum() < start.tested.sum():
             return False
@@ -249,7 +247,7 @@ class _Seen:
         self.known, self.spare = np.flatnonzero(known), np.flatnonzero(~known)
 
 
-def _started(start: Start, seen: Leg, leg: ForwardLeg) -> SchmidtEkf:
+def _started(start: LegSolution, seen: Leg, leg: ForwardLeg) -> SchmidtEkf:
     """Return the filter at the end of the first leg."""
     n = len(seen.theta1)
     s, c = math.sin(start.phi), math.cos(start.phi)

@@ -13,21 +13,32 @@ from pydantic import Field, field_validator
 from scipy.special import chdtri
 
 from visctrl.contracts import Context, Estimator, Health, Signal, Views
+from visctrl.geometry.trifocal.tensor import CALIBRATED, T111, T121, T211, T221
+from visctrl.geometry.trifocal.transfer import bearings
+from visctrl.geometry.two_view.planar import ransac_planar_motion
 from visctrl.hal.types import Pose, Velocity
 from visctrl.robots.documents import StrictModel
-from visctrl.robots.unicycle import compose
+from visctrl.robots.unicycle import compose, relative_pose, wrap_angle
 from visctrl.schemes.pose.estimate import POSE_SIGNALS, Need, PoseEstimate
-from visctrl.schemes.pose.initial_pose import initial_by_essential, initial_by_tensor
-from visctrl.schemes.pose.kalman import ExtendedPoseFilter, PoseFilter, UnscentedPoseFilter
-from visctrl.schemes.pose.leg_collector import ForwardLeg, InitialAverage
-from visctrl.schemes.pose.leg_start import solve_leg
-from visctrl.schemes.pose.measurements import (
+from visctrl.schemes.pose.first_leg import (
+    ForwardLeg,
+    InitialAverage,
+    Leg,
+    MotionNoise,
+    RampedVelocity,
+)
+from visctrl.schemes.pose.leg_start import in_front, scale_of, solve_leg
+from visctrl.schemes.pose.source_filters import (
     EpipoleModel,
+    ExtendedPoseFilter,
     MeasurementModel,
+    NotMeasured,
+    PoseFilter,
     TensorMethod,
     TensorModel,
+    UnscentedPoseFilter,
+    measured_tensor,
 )
-from visctrl.schemes.pose.motion_model import MotionNoise, RampedVelocity
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -190,8 +201,10 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
         if leg.travelled < options.leg_m:
             return PoseEstimate.unknown(Need.FORWARD, Health.DEGENERATE, "finding the start")
         initial = self._initial_pose(views)
-        if isinstance(initial, str):
-            return PoseEstimate.unknown(Need.FORWARD, Health.LOST, f"no start found: {initial}")
+        if isinstance(initial, NotMeasured):
+            return PoseEstimate.unknown(
+                Need.FORWARD, Health.LOST, f"no start found: {initial.reason}"
+            )
         self._initial = initial
         self._model = self._measurements(initial)
         guess = initial if options.first_guess is None else options.first_guess.array
@@ -199,7 +212,7 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
         self._filter = kind(compose(guess, leg.motion), options.p0.covariance)
         return self._estimate(self._filter)
 
-    def _initial_pose(self, views: Views) -> Array | str:
+    def _initial_pose(self, views: Views) -> Array | NotMeasured:
         """Return C1, or why it cannot be told."""
         options = self.options
         if options.start is not None:
@@ -211,7 +224,7 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
             return initial_by_essential(views, leg, self.context.seed)
         start = solve_leg(leg)
         if start is None:
-            return "too few features, or no start agrees with them"
+            return NotMeasured("too few features, or no start agrees with them")
         return np.array(
             [math.sin(start.beta) / start.q, -math.cos(start.beta) / start.q, start.phi]
         )
@@ -227,8 +240,8 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
 
     def _correct(self, state: PoseFilter, model: MeasurementModel, views: Views) -> None:
         measured = model.measure(views, state.pose)
-        if isinstance(measured, str):
-            self._reason = measured
+        if isinstance(measured, NotMeasured):
+            self._reason = measured.reason
             return
         nis = state.update(measured, model, _gate(self.options.gate, len(measured.values)))
         if nis is None:
@@ -248,3 +261,64 @@ class PoseEkf(Estimator[EkfOptions, PoseEstimate]):
             covariance=state.covariance,
             initial=Pose(*self._initial.tolist()),
         )
+
+
+# --- pose of the initial view, by the source's procedures -------------------------------------
+
+
+def initial_from_tensor(tensor: Array, distance: float) -> Array:
+    """Return C1 (3,) in the target's frame from one tensor: the closed form of (4.16).
+
+    Parameters
+    ----------
+    tensor : (8,) array
+        Of the views in the order target, second, first, in any scale.
+    distance : float
+        Way straight ahead from the first to the second view (m).
+
+    Returns
+    -------
+    (3,) array
+        The tensor's sign is unknown, and C1 therefore up to half a turn about the target.
+    """
+    scale = distance / math.hypot(tensor[T111], tensor[T211])
+    phi = math.atan2(scale * tensor[T111], scale * tensor[T211])
+    tx, ty = -scale * tensor[T221], scale * tensor[T121]
+    s, c = math.sin(phi), math.cos(phi)
+    target = np.array([-tx * c + ty * s, -tx * s - ty * c, phi])
+    return relative_pose(np.zeros(3), target)
+
+
+def initial_by_tensor(views: Views, distance: float, seed: int) -> Array | NotMeasured:
+    """Return C1 (3,) from the three views after a leg straight ahead, or why it fails."""
+    reordered = Views(
+        ids=views.ids,
+        target=views.initial,
+        initial=views.target,
+        current=views.current,
+        pixels=views.pixels,
+        sigma=views.sigma,
+        stamp=views.stamp,
+    )
+    found = measured_tensor(reordered, CALIBRATED, refined=False, seed=seed)
+    if isinstance(found, NotMeasured):
+        return found
+    initial = initial_from_tensor(found[0], distance)
+    angles = np.array([math.atan2(initial[0], -initial[1]), initial[2]])
+    if not in_front(bearings(views.initial), bearings(views.target), angles[None])[0]:
+        initial = np.array([-initial[0], -initial[1], wrap_angle(initial[2] + math.pi)])
+    return initial
+
+
+def initial_by_essential(views: Views, leg: Leg, seed: int) -> Array | NotMeasured:
+    """Return C1 (3,): directions from the planar essential matrix, the scale from the leg."""
+    motion = ransac_planar_motion(views.target, views.initial, views.sigma, seed=seed)
+    if not motion.determined:
+        return NotMeasured(motion.reason)
+    # Seen from the target, C1 lies at the bearing θ: (sin θ, cos θ) = (sin β, −cos β).
+    beta = math.pi - motion.direction
+    q, _ = scale_of(leg, np.array([beta]), np.array([motion.phi]))
+    if not q[0] > 0.0:
+        return NotMeasured("the forward motion does not show in the images")
+    distance = 1.0 / float(q[0])
+    return np.array([distance * math.sin(beta), -distance * math.cos(beta), motion.phi])

@@ -1,28 +1,80 @@
-"""What was seen on a first short leg of known motion, and where it may have started.
-
-The search behind `visctrl.schemes.pose.leg_start`: places to begin from, found without any
-earlier guess.
-"""
+"""The first leg: the motion that the base made, and what was seen on the way, tick by tick."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from visctrl.geometry.robust.losses import huber
-from visctrl.geometry.trifocal.transfer import wrap_half_turn
+from visctrl.contracts import Views
+from visctrl.geometry.trifocal.transfer import bearings
+from visctrl.hal.types import Velocity
+from visctrl.robots import Limits
+from visctrl.robots.documents import StrictModel
+from visctrl.robots.unicycle import exact_jacobians, step_exact
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Ids = NDArray[np.int64]
+NonNegative = Annotated[float, Field(ge=0.0)]
 
-#: Places to begin from are at least so far apart (rad).
-_SPREAD = math.radians(15.0)
-#: Residuals beyond this many standard deviations pull with constant force.
-HUBER = 2.5
+
+class MotionNoise(StrictModel):
+    """How what a base executes scatters about what it is told, anew in every tick.
+
+    v_m_s, omega_deg_s : standard deviations.
+    gain : standard deviation of the odometer's unknown factor (wheel radius, slip).
+    """
+
+    v_m_s: NonNegative = 0.002
+    omega_deg_s: NonNegative = 0.1
+    gain: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+
+    def covariance(self, velocity: Velocity) -> Array:
+        """Return the covariance M (2, 2) of what is executed about ``velocity``.
+
+        A robot that stands, stands.
+        """
+        if velocity.v == 0.0 and velocity.omega == 0.0:
+            return np.zeros((2, 2))
+        return np.diag([self.v_m_s**2, math.radians(self.omega_deg_s) ** 2])
+
+
+class RampedVelocity:
+    """Mean velocity of each tick, the base's acceleration ramp included.
+
+    Parameters
+    ----------
+    limits : Limits or None
+        Whose acceleration bounds shape the velocity; None for a base that follows at once.
+    """
+
+    def __init__(self, limits: Limits | None) -> None:
+        self._limits = limits
+        self._now = Velocity(0.0, 0.0)
+
+    def during(self, sent: Velocity, dt: float) -> Velocity:
+        """Return the mean velocity of ``dt`` seconds under ``sent``."""
+        if self._limits is None or dt <= 0.0:
+            self._now = sent
+            return sent
+        v_bound = self._limits.acceleration_m_s2
+        omega_bound = self._limits.angular_acceleration_rad_s2
+        v, v_end = _ramp(self._now.v, sent.v, v_bound, dt)
+        omega, omega_end = _ramp(self._now.omega, sent.omega, omega_bound, dt)
+        self._now = Velocity(v_end, omega_end)
+        return Velocity(v, omega)
+
+
+def _ramp(start: float, goal: float, bound: float, dt: float) -> tuple[float, float]:
+    """Return mean and final value of a ramp from ``start`` to ``goal`` at the rate ``bound``."""
+    change = goal - start
+    ramp = min(abs(change) / bound, dt)
+    end = goal if ramp < dt else start + (bound if change > 0.0 else -bound) * dt
+    return (0.5 * (start + end) * ramp + end * (dt - ramp)) / dt, end
 
 
 @dataclass(frozen=True)
@@ -52,135 +104,112 @@ def seen(leg: Leg) -> Array:
     return np.isfinite(leg.theta2).astype(np.float64)
 
 
-def binned(leg: Leg, bins: int = 8) -> Leg:
-    """Return the leg with its frames averaged in groups: enough to find where to start.
+@dataclass
+class _FixedBearings:
+    """A feature's bearing in the initial and the target view, and their standard deviations."""
 
-    Along a few centimetres a bearing, the turn removed, changes in proportion to the way.
-    """
-    frames = len(leg.motion)
-    if frames <= bins:
-        return leg
-    group = np.arange(frames) * bins // frames
-    change = wrap_half_turn(leg.theta2 - leg.motion[:, 2:] - leg.theta1)
-    members = (group == np.arange(bins)[:, None]).astype(np.float64)
-    motion = members @ leg.motion / members.sum(axis=1, keepdims=True)
-    count = members @ seen(leg)
-    some = np.where(count > 0, count, np.nan)
-    mean = members @ np.where(np.isfinite(change), change, 0.0) / some
-    variance = members @ np.where(np.isfinite(leg.sigma2), leg.sigma2, 0.0) ** 2 / some
-    return replace(
-        leg,
-        motion=motion,
-        turn_variance=members @ leg.turn_variance / members.sum(axis=1),
-        theta2=leg.theta1 + motion[:, 2:] + mean,
-        sigma2=np.sqrt(variance / some),
-    )
+    theta1: float
+    theta3: float
+    sigma1: float
+    sigma3: float
 
 
-def search_starts(leg: Leg, count: int, step_deg: float = 8.0) -> Array:
-    """Return up to ``count`` promising (β, φ1, q), (S, 3), by a search over both angles."""
-    angles = np.radians(np.arange(-180.0, 180.0, step_deg))
-    beta, phi = (part.ravel() for part in np.meshgrid(angles, angles, indexing="ij"))
-    # The same scale fits a start turned by half a circle about the target, points behind it.
-    front = in_front(leg.theta1, leg.theta3, np.stack([beta, phi], axis=-1))
-    beta, phi = beta[front], phi[front]
-    # Half a cell of the search shifts the prediction by some 20 % of the value.
-    q, score = scale_of(leg, beta, phi, spread=0.2)
-    score[q <= 0.0] = np.inf
-    return _spread_minima(np.stack([beta, phi, q], axis=-1), score, count)
+class InitialAverage:
+    """Sharper initial view from further frames of the robot standing there."""
+
+    def __init__(self) -> None:
+        self._sum: dict[int, tuple[Array, int]] = {}
+
+    def add(self, views: Views) -> None:
+        """Take a frame from the initial pose into account."""
+        for name, first, now in zip(views.ids.tolist(), views.initial, views.current, strict=True):
+            total, count = self._sum.get(name, (first, 1))
+            self._sum[name] = total + now, count + 1
+
+    def applied(self, views: Views) -> Views:
+        """Return views whose initial rays are the averages."""
+        if not self._sum:
+            return views
+        known = [
+            self._sum.get(name, (first, 1))
+            for name, first in zip(views.ids.tolist(), views.initial, strict=True)
+        ]
+        initial = np.array([total for total, _ in known]).reshape(-1, 3)
+        initial /= np.maximum(np.linalg.norm(initial, axis=1, keepdims=True), 1e-12)
+        sigmas = views.bearing_sigmas().copy()
+        sigmas[1] /= np.sqrt([count for _, count in known])
+        return replace(views, initial=initial, sigmas=lambda: sigmas)
 
 
-def _inverse_ranges(leg: Leg) -> tuple[Array, Array]:
-    """Return the inverse ranges from C1 (1/m) of the features (N,) and their variances.
+class ForwardLeg:
+    """Frames of the first leg, from standstill at C1 onwards.
 
-    A point at range r and bearing θ1 is seen from δ at θ2 + dφ with
-    tan(θ2 + dφ − θ1) = −t·δ / (r − d·δ), d and t being the ray's direction and its normal.
-    """
-    change = wrap_half_turn(leg.theta2 - leg.motion[:, 2:] - leg.theta1)
-    s, c = np.sin(leg.theta1), np.cos(leg.theta1)
-    across = leg.motion[:, :1] * c - leg.motion[:, 1:2] * s
-    along = leg.motion[:, :1] * s + leg.motion[:, 1:2] * c
-    tangent = np.tan(np.clip(change, -1.2, 1.2))
-    lever = np.where(np.isfinite(tangent), along * tangent - across, 0.0)
-    tangent = np.where(np.isfinite(tangent), tangent, 0.0)
-    information = np.sum(lever**2, axis=0)
-    # Straight ahead there is no lever: such a feature tells nothing about its range.
-    information = np.where(information > 1e-6, information, np.nan)
-    rho = np.sum(lever * tangent, axis=0) / information
-    noise = np.nanmean(leg.sigma2, axis=0) ** 2 / information
-    common = (leg.sigma1 * np.sum(np.abs(lever), axis=0) / information) ** 2
-    return rho, noise + common
-
-
-def scale_of(leg: Leg, beta: Array, phi: Array, spread: float = 0.05) -> tuple[Array, Array]:
-    """Return the scale q (S,) that supposed angles (S,) of C1 imply, and how badly it fits (S,).
-
-    Each feature's bearing changes along the leg give its inverse range, which is linear in q
-    once β and φ1 are supposed, so that a plane of hypotheses is scored in one array operation.
-
-    Parameters
+    Attributes
     ----------
-    leg : Leg
-    beta, phi : (S,) arrays
-        Direction and heading of C1 (rad).
-    spread : float
-        Standard deviation of an inverse range, as a fraction, that is due to the angles.
+    motion : (3,) array
+        Dead-reckoned pose relative to C1 (m, m, rad).
+    spread : (3, 3) array
+        Its covariance.
+    travelled : float
+        Length of the way (m).
+    frames : int
+        Number of frames collected.
     """
-    inverse_range, variance = _inverse_ranges(leg)
-    known = np.isfinite(inverse_range)
-    rho, variance = inverse_range[known], variance[known]
-    theta3 = leg.theta3[known]
-    # C1 × d3 over d3 × d1 is the range from C1 in units of |C1|.
-    reach = _sines(beta, theta3)
-    reach = np.copysign(np.maximum(np.abs(reach), 0.05), reach)
-    # Both in standard deviations.
-    k = _sines(phi, theta3 - leg.theta1[known]) / reach
-    scale = 1.0 / np.sqrt(variance + (spread * rho) ** 2)
-    k, rho = k * scale, rho * scale
-    along, square = k * rho, k * k
-    pull = np.ones_like(k)
-    for _ in range(3):
-        q = np.einsum("sn,sn->s", pull, along) / np.einsum("sn,sn->s", pull, square)
-        scaled = np.abs(rho - q[:, None] * k)
-        pull = huber(scaled, HUBER)
-    # Huber's loss, as a sum of squares.
-    clipped = np.minimum(scaled, HUBER)
-    return q, np.sum(clipped * (2.0 * scaled - clipped), axis=1)
 
+    def __init__(self) -> None:
+        self.motion = np.zeros(3)
+        self.spread = np.zeros((3, 3))
+        self.travelled = 0.0
+        self._fixed: dict[int, _FixedBearings] = {}
+        self._motions: list[Array] = []
+        self._turn_variances: list[float] = []
+        self._seen: list[tuple[Ids, Array, Array]] = []
 
-def _sines(angle: Array, theta: Array) -> Array:
-    """Return sin(angle + theta), (S, N), for (S,) and (N,): one matrix product."""
-    turn = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
-    return np.asarray(turn @ np.stack([np.cos(theta), np.sin(theta)]), dtype=np.float64)
+    @property
+    def frames(self) -> int:
+        """Number of frames collected."""
+        return len(self._seen)
 
+    def move(self, velocity: Velocity, dt: float, offset: float, noise: Array) -> None:
+        """Follow a velocity; ``noise`` (2, 2) is the covariance of what was executed about it."""
+        F, G = exact_jacobians(self.motion, velocity.v, velocity.omega, dt, offset)
+        self.motion = step_exact(self.motion, velocity.v, velocity.omega, dt, offset)
+        self.spread = F @ self.spread @ F.T + G @ noise @ G.T
+        self.travelled += abs(velocity.v) * dt
 
-def in_front(theta1: Array, theta3: Array, common: Array) -> Mask:
-    """Return which solutions (S, 2 or more) have their points in front of both fixed views.
+    def look(self, views: Views) -> None:
+        """Add a frame taken at the present pose."""
+        sigma = views.bearing_sigmas()
+        columns = (bearings(views.initial), bearings(views.target), sigma[1], sigma[0])
+        for name, *fixed in zip(views.ids.tolist(), *(c.tolist() for c in columns), strict=True):
+            if name not in self._fixed:
+                self._fixed[name] = _FixedBearings(*fixed)
+        self._motions.append(self.motion)
+        self._turn_variances.append(float(self.spread[2, 2]))
+        self._seen.append((views.ids, bearings(views.current), sigma[2]))
 
-    theta1, theta3 : (N,) bearings in the initial and the target view (rad).
-    common : (S, 2 or more) direction β and heading φ1 of C1 (rad), and anything.
-    """
-    beta, phi = common[:, 0], common[:, 1]
-    parallax = _sines(phi, theta3 - theta1)
-    range1, range3 = _sines(beta, theta3), _sines(beta - phi, theta1)
-    # Far points lie on either side by chance: they vote with their parallax.
-    first = np.einsum("sn,sn->s", np.sign(range1), parallax)
-    third = np.einsum("sn,sn->s", np.sign(range3), parallax)
-    return np.asarray((first > 0.0) & (third > 0.0))
-
-
-def _spread_minima(candidates: Array, score: Array, count: int) -> Array:
-    """Return the best candidates (·, 3) that are at least 15 degrees apart."""
-    chosen: list[list[float]] = []
-    best = np.argsort(score)[: 40 * count]
-    for candidate in candidates[best[np.isfinite(score[best])]].tolist():
-        if len(chosen) == count:
-            break
-        if all(apart(candidate, other) > _SPREAD for other in chosen):
-            chosen.append(candidate)
-    return np.array(chosen).reshape(-1, 3)
-
-
-def apart(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the larger of the differences of β and φ1 (rad) of two solutions (β, φ1, …)."""
-    return max(abs(math.remainder(x - y, math.tau)) for x, y in zip(a[:2], b[:2], strict=True))
+    def collected(self, most: int) -> tuple[Ids, Leg]:
+        """Return at most ``most`` features, spread all round, and what was seen of them."""
+        names = np.array(sorted(self._fixed), dtype=np.int64)
+        theta2, sigma2 = np.full((2, len(self._seen), len(names)), np.nan)
+        for row, (ids, theta, sigma) in enumerate(self._seen):
+            column = np.searchsorted(names, ids)
+            theta2[row, column], sigma2[row, column] = theta, sigma
+        fixed = [self._fixed[name] for name in names.tolist()]
+        theta1 = np.array([f.theta1 for f in fixed])
+        often = np.flatnonzero(2 * np.isfinite(theta2).sum(axis=0) > len(theta2))
+        round_about = often[np.argsort(theta1[often])]
+        if len(round_about) > most:
+            round_about = round_about[np.arange(most) * len(round_about) // most]
+        keep = np.sort(round_about)
+        leg = Leg(
+            theta1=theta1[keep],
+            theta3=np.array([f.theta3 for f in fixed])[keep],
+            sigma1=np.array([f.sigma1 for f in fixed])[keep],
+            sigma3=np.array([f.sigma3 for f in fixed])[keep],
+            motion=np.array(self._motions),
+            turn_variance=np.array(self._turn_variances),
+            theta2=theta2[:, keep],
+            sigma2=sigma2[:, keep],
+        )
+        return names[keep], leg

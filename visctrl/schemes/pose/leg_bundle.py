@@ -24,7 +24,7 @@ from visctrl.geometry.robust.least_squares import (
 )
 from visctrl.geometry.robust.losses import huber
 from visctrl.geometry.trifocal.transfer import Transfer, transfer_bearing, wrap_half_turn
-from visctrl.schemes.pose.first_leg import HUBER, Leg
+from visctrl.schemes.pose.first_leg import Leg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,6 +34,8 @@ Common = tuple[Array, Array]
 
 #: Entries of the common part before the turns: β, φ1, q.
 BASE = 3
+#: Residuals beyond this many standard deviations pull with constant force.
+HUBER = 2.5
 #: A step with less gain is the last: 0.003 standard deviations.
 _CONVERGED = 1e-5
 #: The first steps are far from quadratic; a hundredth of damping loses none of the solutions.

@@ -139,7 +139,9 @@ class ConstrainedFit(TensorMethod):
         found = self._bearings.find(views, self._driven, self._turned)
         if isinstance(found, InitialView):
             return found
-        return Measurement.none(Health.DEGENERATE, f"initial and target view: {reason}; {found}")
+        return Measurement.none(
+            Health.DEGENERATE, f"initial and target view: {reason}; {found.reason}"
+        )
 
     def _motion(self, rays: Array, views: Views) -> PlanarMotion:
         """Return the motion from a view with these rays to the target's."""

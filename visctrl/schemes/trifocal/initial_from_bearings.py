@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,13 @@ _CERTAIN = math.radians(4.0)
 _IN_FRONT = 0.7
 
 
+@dataclass(frozen=True)
+class Undetermined:
+    """Why the initial view is not known yet."""
+
+    reason: str
+
+
 class InitialFromBearings:
     """Takes the motion out of a calibrated tensor, without elevations.
 
@@ -42,7 +50,7 @@ class InitialFromBearings:
 
     def find(
         self, views: Views, driven: Point, turned: float, guess: InitialView | None = None
-    ) -> InitialView | str:
+    ) -> InitialView | Undetermined:
         """Return the initial view, or why it is not known yet.
 
         driven, turned : dead-reckoned position in m and heading (rad) in the initial
@@ -50,11 +58,11 @@ class InitialFromBearings:
         guess : what else is known of the initial view, to choose by.
         """
         if identical_views(views.initial, views.current, views.sigma):
-            return "initial and current view are identical: the robot has to move"
+            return Undetermined("initial and current view are identical: the robot has to move")
         relation = trilinear(views.initial, views.current, views.target)
         within = relation.within(CALIBRATED)
         if len(relation) < within.error.shape[1]:
-            return f"too few features: {len(relation)}"
+            return Undetermined(f"too few features: {len(relation)}")
         z, inliers = ransac_tensor(
             within,
             views.sigma,
@@ -63,7 +71,9 @@ class InitialFromBearings:
             hypotheses=self._options.hypotheses,
         )
         if inliers.mean() < self._options.min_inliers:
-            return f"features disagree: {int(inliers.sum())} of {len(views)} on a tensor"
+            return Undetermined(
+                f"features disagree: {int(inliers.sum())} of {len(views)} on a tensor"
+            )
         fit = refine(within.take(inliers), z, views.sigma)
         motions = motions_of_tensor(CALIBRATED @ fit.z)
         front = share_in_front(
@@ -71,7 +81,7 @@ class InitialFromBearings:
         )
         physical = motions[front >= _IN_FRONT]
         if not len(physical):
-            return "no motion has the features in front of the camera"
+            return Undetermined("no motion has the features in front of the camera")
         mismatch = _mismatch(physical, driven, turned)
         if guess is not None:
             bearing = np.arctan2(physical[:, 0, 1], physical[:, 0, 2])
@@ -91,7 +101,7 @@ def _mismatch(motions: Array, driven: Point, turned: float) -> Array:
     return np.asarray(np.abs(wrap_angle(turn - turned)) + np.abs(wrap_angle(direction)))
 
 
-def _judged(relation: Trilinear, motion: Array, sigma: float) -> InitialView | str:
+def _judged(relation: Trilinear, motion: Array, sigma: float) -> InitialView | Undetermined:
     """Return the initial view of a motion (2, 3) if the features determine it well enough."""
     (phi, x, y), (phi_2, x_2, y_2) = motion
     # Without a prior of its own: the bearings are taken into the filter as they come.
@@ -99,5 +109,7 @@ def _judged(relation: Trilinear, motion: Array, sigma: float) -> InitialView | s
     fit = refine(relation.within(view.basis), view_parameters(phi_2, np.array([x_2, y_2])), sigma)
     information = coupling(relation, fit, view.parameters, view.jacobian).information
     if float(np.linalg.eigvalsh(information)[0]) * _CERTAIN**2 < 1.0:
-        return "bearings do not determine the initial view yet: the robot has to move on"
+        return Undetermined(
+            "bearings do not determine the initial view yet: the robot has to move on"
+        )
     return view
