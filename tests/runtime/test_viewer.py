@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -127,14 +128,16 @@ def test_a_run_that_never_began_leaves_no_file(toy_plan: MakePlan, tmp_path: Pat
 class Viewer:
     """A small client of the Foxglove protocol that subscribes to everything."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, stream: ViewerStream) -> None:
+        assert stream.gate is not None
+        url = urlsplit(stream.gate.url)
         self.socket = socket.socket()
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         self.socket.settimeout(10.0)
-        self.socket.connect(("127.0.0.1", port))
+        self.socket.connect(("127.0.0.1", url.port))
         key = base64.b64encode(os.urandom(16)).decode()
         self.socket.sendall(
-            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+            f"GET /?{url.query} HTTP/1.1\r\nHost: {url.netloc}\r\nUpgrade: websocket\r\n"
             f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
             "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
         )
@@ -192,7 +195,7 @@ def stream(toy_plan: MakePlan) -> Iterator[ViewerStream]:
 
 
 def test_a_viewer_gets_what_happens(toy_plan: MakePlan, stream: ViewerStream) -> None:
-    viewer = Viewer(stream.port)
+    viewer = Viewer(stream)
     assert set(SCHEMAS) <= viewer.subscribe()
     time.sleep(0.2)
     run_session(toy_plan({"controller.drive_s": 1.0}), observers=[stream])
@@ -203,11 +206,54 @@ def test_a_viewer_gets_what_happens(toy_plan: MakePlan, stream: ViewerStream) ->
     viewer.socket.close()
 
 
+def knock(stream: ViewerStream, query: str, **fields: str) -> str:
+    """Ask for a WebSocket; return the status line, empty if the door is shut."""
+    assert stream.gate is not None
+    with socket.create_connection(("127.0.0.1", stream.gate.address.port), timeout=10.0) as door:
+        head = {"Host": f"127.0.0.1:{stream.gate.address.port}", "Upgrade": "websocket"} | fields
+        lines = "".join(f"{name}: {value}\r\n" for name, value in head.items())
+        door.sendall(f"GET /{query} HTTP/1.1\r\n{lines}\r\n".encode())
+        return door.recv(4096).decode("latin-1").partition("\r\n")[0]
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "https://app.foxglove.dev.evil.example"},
+        {"Host": "evil.example"},
+        {"Host": "evil.example:8765", "Origin": "http://evil.example:8765"},
+        {"Host": ""},
+    ],
+)
+def test_a_page_of_another_site_cannot_look_through_the_camera(
+    stream: ViewerStream, fields: dict[str, str]
+) -> None:
+    assert stream.gate is not None
+    query = f"?{urlsplit(stream.gate.url).query}"
+    assert knock(stream, query, **fields) == "HTTP/1.1 403 Forbidden"
+
+
+def test_without_the_token_nobody_looks(stream: ViewerStream) -> None:
+    assert stream.gate is not None
+    token = urlsplit(stream.gate.url).query
+    assert len(token) > len("token=") + 20
+    for query in ("", "?token=", f"?{token[:-1]}", f"?{token}x", "?token=é"):
+        assert knock(stream, query) == "HTTP/1.1 401 Unauthorized"
+    assert knock(stream, f"?{token}", Upgrade="h2c") == "HTTP/1.1 400 Bad Request"
+    for origin in ("https://app.foxglove.dev", "file://", "http://localhost:8080"):
+        websocket = {"Connection": "Upgrade", "Sec-WebSocket-Key": "MDEyMzQ1Njc4OWFiY2RlZg=="}
+        version = {"Sec-WebSocket-Version": "13", "Sec-WebSocket-Protocol": "foxglove.sdk.v1"}
+        assert " 101 " in knock(stream, f"?{token}", Origin=origin, **websocket, **version)
+
+
 def test_a_viewer_that_never_reads_delays_no_tick_and_not_the_end(
     toy_plan: MakePlan, stream: ViewerStream
 ) -> None:
     """Megabytes are offered to viewers that take kilobytes; one vanishes on the way."""
-    viewers = [Viewer(stream.port) for _ in range(3)]
+    viewers = [Viewer(stream) for _ in range(3)]
     for viewer in viewers:
         viewer.subscribe()
     time.sleep(0.2)
@@ -272,7 +318,7 @@ def test_a_port_in_use_by_another_viewer_is_bad_input(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    where = f"127.0.0.1:{stream.port}"
+    where = f"127.0.0.1:{stream.gate.address.port}"
     out = tmp_path / "run"
     assert call(monkeypatch, "run", "mock", "--live-address", where, "--out", str(out)) == 2
     assert f"--live-address {where}: cannot listen there" in capsys.readouterr().err

@@ -8,12 +8,15 @@ import socket
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from toy_plugins import SpyBackend
 
 from visctrl.cli.main import main
@@ -24,7 +27,9 @@ from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import Outcome, run_session
 from visctrl.runtime.stop import StopRequest
+from visctrl.viewers.web import server
 from visctrl.viewers.web.address import Access, Address
+from visctrl.viewers.web.lanes import PENALTY_S, Connection, Lanes
 from visctrl.viewers.web.server import WebPage
 from visctrl.viewers.web.view import LiveView
 
@@ -117,6 +122,96 @@ def test_only_a_post_to_stop_stops(toy_plan: MakePlan) -> None:
         assert ask(page, "/state", "POST")[0] == 404
         assert ask(page, "/stop", "PUT")[0] == 501
         assert not page._server.stop.made
+
+
+def trickle(page: WebPage, count: int, over: threading.Event) -> list[socket.socket]:
+    """Open connections of which each sends a byte now and then and never a whole request."""
+    made: list[socket.socket] = []
+
+    def work() -> None:
+        while not over.wait(0.05):
+            for each in made:
+                with suppress(OSError):
+                    each.sendall(b"G")
+
+    where = ("127.0.0.1", page.address.port)
+    made += (socket.create_connection(where, timeout=5.0) for _ in range(count))
+    threading.Thread(target=work, daemon=True).start()
+    return made
+
+
+@pytest.mark.parametrize("count", [24, 150])
+def test_stop_is_reached_however_many_trickle(toy_plan: MakePlan, count: int) -> None:
+    """Strangers make room for each other, and their requests have a deadline."""
+    over = threading.Event()
+    with served(toy_plan()) as (page, _):
+        made = trickle(page, count, over)
+        for _ in range(10):
+            assert ask(page, "/state")[0] == 200
+        assert ask(page, "/stop", "POST")[0] == 200
+        assert page._server.stop.made
+        assert len(page._server.lanes) <= 100
+        clock = page._server.lanes._clock
+        page._server.lanes._clock = lambda: clock() + 10.0
+        for each in made:
+            with suppress(ConnectionError):
+                assert each.recv(1) == b"", "its time was over"
+        over.set()
+        for each in made:
+            each.close()
+
+
+def test_wrong_tokens_take_their_time(toy_plan: MakePlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited: list[float] = []
+    with served(toy_plan(), Address("0.0.0.0", 0)) as (page, _):
+        monkeypatch.setattr(server.time, "sleep", waited.append)
+        assert ask(page, "/stop", "POST", Authorization="Bearer wrong")[0] == 401
+        assert PENALTY_S in waited
+        waited.clear()
+        assert ask(page, "/stop", "POST", Authorization=f"Bearer {page.token}")[0] == 200
+        assert PENALTY_S not in waited
+
+
+class Line:
+    """A socket that notes whether it was shut."""
+
+    def __init__(self) -> None:
+        self.open = True
+
+    def shutdown(self, how: int) -> None:
+        self.open = False
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["come", "ask", "leave", "wait"]), st.integers(0, 400)),
+        max_size=600,
+    )
+)
+@settings(max_examples=60, deadline=None)
+def test_whoever_comes_is_let_in_and_there_are_never_too_many(steps: list[tuple[str, int]]) -> None:
+    now = 0.0
+    lanes = Lanes(lambda: now)
+    there: list[Connection] = []
+    for step, number in steps:
+        if step == "come" or not there:
+            there.append(lanes.admit(Line(), f"peer {number % 7}"))  # type: ignore[arg-type]
+            assert there[-1].socket.open  # type: ignore[attr-defined]
+        elif step == "ask":
+            guest = there[number % len(there)]
+            lanes.welcome(guest)
+            lanes.waits(guest)
+        elif step == "leave":
+            lanes.leave(there.pop(number % len(there)))
+        else:
+            now += number / 100.0
+            lanes.dismiss_late()
+        staying = [each for each in there if each.socket.open]  # type: ignore[attr-defined]
+        assert all(each.deadline >= now for each in staying) or step != "wait"
+        strangers = Counter(each.peer for each in staying if not each.guest)
+        assert len(staying) - strangers.total() <= 32
+        assert strangers.total() <= 96
+        assert max(strangers.values(), default=0) <= 64
 
 
 # --- who may -----------------------------------------------------------------------------------

@@ -96,6 +96,7 @@ def watchers(plan: Plan, watching: Watching) -> Iterator[Watchers]:
         if watching.live is not None:
             stream = found.add_stream(plan, watching.live)
             stack.callback(stream.close)
-            url = f"ws://{stream.host}:{stream.port}"
-            print(f"visctrl: open {url} in the Foxglove app", file=sys.stderr, flush=True)
+            if stream.gate is not None:
+                said = f"open {stream.gate.url} in the Foxglove app"
+                print(f"visctrl: {said}", file=sys.stderr, flush=True)
         yield found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import importlib.util
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +14,8 @@ from typing import TYPE_CHECKING
 
 from visctrl.robots.errors import InputError
 from visctrl.runtime.records import Observer, Setup, TickRecord
+from visctrl.viewers.foxglove.gate import Gate, hidden_address
+from visctrl.viewers.web.address import Address
 
 if TYPE_CHECKING:
     from foxglove import Context
@@ -69,8 +72,8 @@ class ViewerStream(Observer):
         self._queue: Queue[TickRecord | None] = Queue(_BACKLOG)
         #: Ticks left out because encoding was too slow.
         self.given_up = 0
-        #: Where it is served, if it is.
-        self.host, self.port = "", 0
+        #: The door to it, where it is served.
+        self.gate: Gate | None = None
         #: What went wrong, empty if nothing.
         self.problem = ""
         self._closed = False
@@ -98,7 +101,7 @@ class ViewerStream(Observer):
 
     @classmethod
     def to_viewers(cls, setup: Setup, host: str, port: int, option: str) -> ViewerStream:
-        """Serve the Foxglove app.
+        """Serve the Foxglove app, behind a gate that asks for a token (see `Gate`).
 
         Raises
         ------
@@ -109,20 +112,25 @@ class ViewerStream(Observer):
         import foxglove
 
         context = foxglove.Context()
+        hidden = hidden_address()
+        server = foxglove.start_server(
+            name="visctrl",
+            host=hidden.host,
+            port=hidden.port,
+            context=context,
+            message_backlog_size=_VIEWER_BACKLOG,
+        )
         try:
-            server = foxglove.start_server(
-                name="visctrl",
-                host=host,
-                port=port,
-                context=context,
-                message_backlog_size=_VIEWER_BACKLOG,
-            )
-        except Exception as error:
+            where = Address(hidden.host, server.port)
+            gate = Gate(Address(host, port), where, secrets.token_urlsafe(16))
+        except OSError as error:
+            server.stop()
             raise InputError(
-                f"{option} {host}:{port}: cannot listen there: {error}; choose another HOST:PORT"
+                f"{option} {host}:{port}: cannot listen there: {error.strerror or error}; choose "
+                "another HOST:PORT"
             ) from None
         stream = cls(setup, context, server.stop, wait=False)
-        stream.host, stream.port = host, server.port
+        stream.gate = gate
         return stream
 
     def on_tick(self, record: TickRecord) -> None:
@@ -144,7 +152,7 @@ class ViewerStream(Observer):
         self._closed = True
         self._queue.put(None)
         self._thread.join()
-        if not self.port:
+        if self.gate is None:
             self._close_sink()
             return
         # A server ends only once every viewer has read what it was sent: some never do.
@@ -156,6 +164,7 @@ class ViewerStream(Observer):
             from foxglove import _foxglove_py
 
             atexit.unregister(_foxglove_py.shutdown)
+        self.gate.close()
 
     def _publish_all(self) -> None:
         while (record := self._queue.get()) is not None:

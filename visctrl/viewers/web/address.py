@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from visctrl.robots.errors import InputError
 
 LOOPBACK = "127.0.0.1"
+#: Where Foxglove's app is run in a browser.
+VIEWER_PAGE = "https://app.foxglove.dev"
 _MOST = 65_535
 
 
@@ -73,7 +75,7 @@ class Access:
         """Whether a ``Host`` header names this server."""
         name = _host_in(header)
         if self.address.is_loopback:
-            return name == "localhost" or (_is_ip(name) and _ip(name).is_loopback)
+            return _is_own(name)
         own = socket.gethostname().lower()
         return _is_ip(name) or name in {"localhost", self.address.host.lower(), own, f"{own}.local"}
 
@@ -81,10 +83,25 @@ class Access:
         """Whether a request comes from our own page, or from no page at all."""
         return not origin or origin == f"http://{host}"
 
+    def is_viewer(self, origin: str) -> bool:
+        """Whether an ``Origin`` header is that of a viewer: an app, Foxglove's page, or ours.
+
+        Pages of the web come over http and https, or say ``null`` where they hide it.
+        """
+        scheme, _, host = origin.lower().partition("://")
+        if scheme in ("http", "https"):
+            return origin == VIEWER_PAGE or _is_own(_host_in(host))
+        return scheme != "null"
+
     def has_token(self, authorization: str) -> bool:
         """Whether an ``Authorization`` header shows the token."""
         shown = authorization.removeprefix("Bearer ").strip()
         return not self.token or hmac.compare_digest(shown.encode(), self.token.encode())
+
+
+def _is_own(name: str) -> bool:
+    """Whether a host name is this machine's loopback."""
+    return name == "localhost" or (_is_ip(name) and _ip(name).is_loopback)
 
 
 def _host_in(header: str) -> str:

@@ -18,17 +18,16 @@ from urllib.parse import parse_qs, urlsplit
 from visctrl.robots.errors import InputError
 from visctrl.runtime.stop import StopRequest
 from visctrl.viewers.web.address import Access, Address
+from visctrl.viewers.web.lanes import PENALTY_S, Connection, Lanes
 from visctrl.viewers.web.view import LiveView
 
 DEFAULT_PORT = 8050
 OPTION = "--web-address"
 
-#: A browser that does not read or write for so long is let go (s).
+#: A browser that does not take its answer for so long is let go (s).
 _PATIENCE_S = 5.0
 #: Between two requests on one connection (s).
 _PAUSE_S = 0.02
-#: Browsers at a time, each with a few connections.
-_MOST_CONNECTIONS = 24
 #: How long the page stays for its watchers to see how the run ended, and who is one (s).
 _FAREWELL_S, _WATCHING_S = 1.5, 1.0
 _FILES = {
@@ -109,6 +108,7 @@ class WebPage:
         self._server.closed = True
         self._server.shutdown()
         self._server.server_close()
+        self._server.lanes.dismiss_all()
         self._thread.join()
 
     def finish(self, status: str, reason: str) -> None:
@@ -122,7 +122,7 @@ class WebPage:
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
-    request_queue_size = 16
+    request_queue_size = 128
 
     def __init__(self, address: Address, token: str, view: LiveView, stop: StopRequest) -> None:
         self.address_family = address.family
@@ -131,7 +131,8 @@ class _Server(ThreadingHTTPServer):
         self.looked_at = -1e9
         self.end_seen = threading.Event()
         self.closed = False
-        self._free = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self.lanes = Lanes()
+        self._connections: dict[socket.socket, Connection] = {}
         self.access = Access(address, token)
         super().__init__((address.host, address.port), _Handler)
         self.access = Access(Address(address.host, self.server_port), token)
@@ -143,16 +144,22 @@ class _Server(ThreadingHTTPServer):
         self.server_port = self.socket.getsockname()[1]
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        if not self._free.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
+        self._connections[request] = self.lanes.admit(request, client_address[0])
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._free.release()
+            self.lanes.leave(self._connections.pop(request))
+
+    def connection_of(self, request: socket.socket) -> Connection:
+        """Return what is known of a connection."""
+        return self._connections[request]
+
+    def service_actions(self) -> None:
+        """Look, a few times a second, for requests that never become whole."""
+        self.lanes.dismiss_late()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Forget a browser that went away: there is nobody to tell."""
@@ -165,8 +172,18 @@ class _Handler(BaseHTTPRequestHandler):
     sys_version = ""
     timeout: ClassVar[float] = _PATIENCE_S
 
+    def setup(self) -> None:
+        super().setup()
+        self._known = self.server.connection_of(self.request)
+
+    def parse_request(self) -> bool:
+        whole = super().parse_request()
+        self.server.lanes.served(self._known)
+        return whole
+
     def handle_one_request(self) -> None:
         super().handle_one_request()
+        self.server.lanes.waits(self._known)
         # Whoever asks without a pause gets no more of the processor than a page needs.
         time.sleep(_PAUSE_S)
         if self.server.closed:
@@ -213,7 +230,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _authorised(self) -> bool:
         if self.server.access.has_token(self.headers.get("Authorization", "")):
+            self.server.lanes.welcome(self._known)
             return True
+        time.sleep(PENALTY_S)
         self._refuse(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong")
         return False
 
