@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from visctrl.contracts import Context, Views
 from visctrl.geometry.two_view.general_motion import magsac
-from visctrl.geometry.two_view.planar_uncalibrated import ransac_planar_epipoles
+from visctrl.geometry.two_view.planar_free import ransac_planar_epipoles
 from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.mock.scene import seen_from

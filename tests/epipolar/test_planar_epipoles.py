@@ -11,14 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from visctrl.geometry.two_view.planar import ransac_planar_motion
-from visctrl.geometry.two_view.planar_uncalibrated import (
+from visctrl.geometry.two_view.planar_free import (
     constraint_rows,
     null_vectors,
     ransac_planar_epipoles,
-    refine_planar_epipoles,
+    refine_epipoles,
     sampson_residuals,
     turned,
 )
+from visctrl.geometry.two_view.planar_free_residuals import PointPairs
 from visctrl.robots.unicycle import wrap_angle
 
 Pose = tuple[float, float, float]
@@ -197,7 +198,9 @@ def test_following_ends_where_searching_does(off: float) -> None:
         a, b = (rays[:, [0, 2]] / rays[:, 1:2] for rays in (views.current, views.target))
         searched = ransac_planar_epipoles(a, b, views.sigma, seed=1)
         near = turned(searched.vector, off, -off)
-        followed = refine_planar_epipoles(a, b, near, views.sigma)
+        followed = refine_epipoles(
+            PointPairs.of(a, b), [near], views.sigma, limit=4.0 * views.sigma
+        )[0]
         same = abs(followed.direction - searched.direction) < 0.2 * searched.direction_sd
         agreeing += same and (followed.inliers == searched.inliers).mean() > 0.95
     assert agreeing >= 17
@@ -209,7 +212,12 @@ def test_following_is_exact_without_noise_however_far_the_start() -> None:
     views = world.views(start, 0.0)
     a, b = (rays[:, [0, 2]] / rays[:, 1:2] for rays in (views.current, views.target))
     exact = ransac_planar_epipoles(a, b, views.sigma, seed=1)
-    followed = refine_planar_epipoles(a, b, turned(exact.vector, 0.003, -0.003), views.sigma)
+    followed = refine_epipoles(
+        PointPairs.of(a, b),
+        [turned(exact.vector, 0.003, -0.003)],
+        views.sigma,
+        limit=4.0 * views.sigma,
+    )[0]
     assert followed.direction == pytest.approx(exact.direction, abs=1e-8)
 
 

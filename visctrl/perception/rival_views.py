@@ -22,8 +22,8 @@ from visctrl.geometry.two_view.planar import (
     refine_planar_motion,
     sampson_residuals,
     squared_residuals,
-    two_point_motions,
 )
+from visctrl.geometry.two_view.planar_2pt import two_point_motions
 from visctrl.perception.matching import Described
 from visctrl.perception.patch_alignment import Patches, Source
 from visctrl.perception.unwrap import Canvas

@@ -180,12 +180,6 @@ def linearised(relation: Trilinear, tensor: Array) -> Linearised:
     return Linearised(residual, slopes)
 
 
-def sampson_jacobian(relation: Trilinear, tensor: Array) -> tuple[Array, Array]:
-    """Return the residuals (N,) of one tensor (k,), and their derivatives (N, k) by it."""
-    linear = linearised(relation, tensor)
-    return linear.residual, linear.jacobian(relation).T
-
-
 def view_parameters(heading: ArrayLike, target: ArrayLike) -> Array:
     """Return (..., 4) as (cos φ, sin φ, t_x, t_y) of a view's heading and target position."""
     phi, t = np.asarray(heading, dtype=np.float64), np.asarray(target, dtype=np.float64)

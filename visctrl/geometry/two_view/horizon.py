@@ -1,11 +1,11 @@
 """The image row of the horizon, from two views of a robot that moves in the plane.
 
-The planar epipolar constraint of `planar_uncalibrated` counts heights from the row in
+The planar epipolar constraint of `planar_free` counts heights from the row in
 which the camera's own height appears. A wrong centre row or a camera that pitches a little shifts
 it, and the epipoles with it. Features off that row do not fit any planar motion; the row that most
 of them agree on is the right one.
 
-It is a fourth parameter of the fit of `planar_residuals`: with heights y − h,
+It is a fourth parameter of the fit of `planar_free_residuals`: with heights y − h,
 
     ∂e/∂h = b⊥ − a⊥,   ½ ∂g²/∂h = −(a_c cos θ + κ b_c cos α).
 
@@ -29,8 +29,8 @@ from visctrl.geometry.robust.soft_l1 import (
     options,
     products,
 )
-from visctrl.geometry.two_view.planar_residuals import PointPairs
-from visctrl.geometry.two_view.planar_uncalibrated import MINIMUM_FEATURES, likely_lines
+from visctrl.geometry.two_view.planar_free import MINIMUM_FEATURES, likely_lines
+from visctrl.geometry.two_view.planar_free_residuals import PointPairs
 
 Array = NDArray[np.float64]
 #: (φ, θ, λ, h).

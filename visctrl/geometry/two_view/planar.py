@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from visctrl.geometry.robust.sampling import distinct_samples, ransac
 from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.parallax import signed_parallax
+from visctrl.geometry.two_view.planar_2pt import two_point_motions
 from visctrl.geometry.two_view.planar_fit import MotionFit, RayPairs, fit
 from visctrl.robots.unicycle import wrap_angle
 
@@ -81,23 +82,6 @@ class PlanarMotion:
     def direction_sd(self) -> float:
         """Standard deviation of ``direction`` (rad)."""
         return math.sqrt(float(self.covariance[1, 1]))
-
-
-def essential_matrix(phi: ArrayLike, direction: ArrayLike) -> Array:
-    """Return E (..., 3, 3) with aᵀ E b = 0 for a motion (rad), broadcast over both."""
-    phi, theta = np.broadcast_arrays(np.asarray(phi, float), np.asarray(direction, float))
-    alpha = theta + phi
-    E = np.zeros((*phi.shape, 3, 3))
-    E[..., 0, 2], E[..., 1, 2] = np.cos(theta), -np.sin(theta)
-    E[..., 2, 0], E[..., 2, 1] = -np.cos(alpha), np.sin(alpha)
-    return E
-
-
-def rotate_to_a(rays_b: ArrayLike, phi: float) -> Array:
-    """Return rays (..., 3) of view B turned into A's axes."""
-    b = np.asarray(rays_b, dtype=np.float64)
-    s, c = np.sin(phi), np.cos(phi)
-    return np.stack([c * b[..., 0] - s * b[..., 1], s * b[..., 0] + c * b[..., 1], b[..., 2]], -1)
 
 
 def sampson_residuals(
@@ -234,33 +218,6 @@ def _motion(found: MotionFit) -> PlanarMotion:
     pp, pt, tt = found.variance
     covariance = np.array([[pp, pt], [pt, tt]])
     return PlanarMotion(found.phi, found.direction, covariance, found.inliers, found.degeneracy)
-
-
-def two_point_motions(a: Array, b: Array) -> Array:
-    """Return the bearings (θ, α), (2H, 2), of the motions through samples (H, 2, 3).
-
-    With m = (cos θ, sin θ), n = (cos α, sin α) the constraints read P m + Q n = 0, so that
-    m = W n with W = −P⁻¹Q; |m| = |n| = 1 is an equation in cos 2α, sin 2α.
-    """
-    P = b[..., 2:3] * a[..., :2] * [1.0, -1.0]
-    Q = a[..., 2:3] * b[..., :2] * [-1.0, 1.0]
-    det = P[:, 0, 0] * P[:, 1, 1] - P[:, 0, 1] * P[:, 1, 0]
-    det = np.where(np.abs(det) > 1e-300, det, 1e-300)
-    adjugate = np.stack([P[:, 1, 1], -P[:, 0, 1], -P[:, 1, 0], P[:, 0, 0]], axis=-1).reshape(
-        -1, 2, 2
-    )
-    W = -(adjugate @ Q) / det[:, None, None]
-    S = np.swapaxes(W, 1, 2) @ W
-    mean, half, cross = (S[:, 0, 0] + S[:, 1, 1]) / 2, (S[:, 0, 0] - S[:, 1, 1]) / 2, S[:, 0, 1]
-    amplitude = np.maximum(np.hypot(half, cross), 1e-300)
-    # Outside [−1, 1] no motion fits exactly; the nearest one is kept (vanishing baseline).
-    opening = np.arccos(np.clip((1.0 - mean) / amplitude, -1.0, 1.0))
-    centre = np.arctan2(cross, half)
-    alpha = np.concatenate([centre + opening, centre - opening]) / 2.0
-    W = np.concatenate([W, W])
-    c, s = np.cos(alpha), np.sin(alpha)
-    theta = np.arctan2(W[:, 1, 0] * c + W[:, 1, 1] * s, W[:, 0, 0] * c + W[:, 0, 1] * s)
-    return np.stack([theta, alpha], axis=-1)
 
 
 def squared_residuals(a: Array, b: Array, angles: Array) -> Array:

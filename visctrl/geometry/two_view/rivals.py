@@ -17,8 +17,8 @@ from visctrl.geometry.two_view.planar import (
     refine_motions,
     sampson_residuals,
     squared_residuals,
-    two_point_motions,
 )
+from visctrl.geometry.two_view.planar_2pt import two_point_motions
 from visctrl.geometry.two_view.planar_fit import RayPairs
 from visctrl.robots.unicycle import wrap_angle
 

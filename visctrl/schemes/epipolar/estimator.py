@@ -16,8 +16,14 @@ from visctrl.schemes.epipolar.estimate import EpipoleEstimate, EpipolePair
 from visctrl.schemes.epipolar.location_filter import LocationFilter
 from visctrl.schemes.epipolar.motion_solvers import Calibrated, Solver, Uncalibrated, solver_for
 from visctrl.schemes.epipolar.position import Structure
-from visctrl.schemes.epipolar.view_pairs import PairsFollower
-from visctrl.schemes.fixed_views import ALIGNED, REFERENCE, TARGET, FixedViews, ViewSet
+from visctrl.schemes.epipolar.view_pairs import (
+    ALIGNED,
+    REFERENCE,
+    TARGET,
+    FixedViews,
+    PairsFollower,
+    ViewSet,
+)
 
 #: While the fixed views cannot be told apart, every so many ticks it is tried anew.
 _SEARCH_EVERY = 4

@@ -19,14 +19,16 @@ from visctrl.geometry.two_view.planar import (
     squared_residuals,
 )
 from visctrl.geometry.two_view.planar_fit import RayPairs
-from visctrl.geometry.two_view.planar_residuals import PointPairs
-from visctrl.geometry.two_view.planar_residuals import squared_residuals as squared_point_residuals
-from visctrl.geometry.two_view.planar_uncalibrated import (
+from visctrl.geometry.two_view.planar_free import (
     MINIMUM_FEATURES,
     PlanarEpipoles,
     ransac_planar_epipoles,
     refine_epipoles,
     turned,
+)
+from visctrl.geometry.two_view.planar_free_residuals import PointPairs
+from visctrl.geometry.two_view.planar_free_residuals import (
+    squared_residuals as squared_point_residuals,
 )
 from visctrl.geometry.two_view.rivals import rival_motion
 from visctrl.hal.cameras.central import CentralCamera

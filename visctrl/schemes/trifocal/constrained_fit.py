@@ -30,8 +30,11 @@ from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.planar import PlanarMotion, ransac_planar_motion
 from visctrl.hal.types import Pose, Velocity
 from visctrl.schemes.path_scale import DeadReckoning, PathScale, Point
-from visctrl.schemes.trifocal.initial_from_bearings import InitialFromBearings
-from visctrl.schemes.trifocal.initial_view import InitialView, InitialViewFilter
+from visctrl.schemes.trifocal.initial_view import (
+    InitialFromBearings,
+    InitialView,
+    InitialViewFilter,
+)
 from visctrl.schemes.trifocal.tensor_method import Measurement, TensorMethod, TensorOptions
 
 Array = NDArray[np.float64]

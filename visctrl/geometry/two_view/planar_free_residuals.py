@@ -1,6 +1,6 @@
 """Image points of planar motion: residuals of the epipolar constraint, and their noise.
 
-`planar_uncalibrated` says what m is: here m = (cos θ, sin θ, κ cos α, κ sin α) but for
+`planar_free` says what m is: here m = (cos θ, sin θ, κ cos α, κ sin α) but for
 its length, with α = θ + φ and λ = ln κ. With the components of (x, 1) across and along the
 baseline, and of y (1, 0),
 

@@ -1,6 +1,6 @@
 """The robust minimum of points' epipolar residuals, and what it determines.
 
-See `planar_residuals`. For what is determined, m is a unit vector: its changes are
+See `planar_free_residuals`. For what is determined, m is a unit vector: its changes are
 counted in the lengths of steps along three orthonormal axes across it, which turn the baseline
 in view A, in view B, and change the ratio of the two parts' lengths ρ_a and ρ_b.
 """
@@ -28,7 +28,7 @@ from visctrl.geometry.robust.soft_l1 import (
     some,
 )
 from visctrl.geometry.two_view.degeneracy import Degeneracy
-from visctrl.geometry.two_view.planar_residuals import LinearPoints, Lines, PointPairs
+from visctrl.geometry.two_view.planar_free_residuals import LinearPoints, Lines, PointPairs
 from visctrl.robots.unicycle import wrapped
 
 Array = NDArray[np.float64]

@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from visctrl.geometry.robust.sampling import distinct_samples, ransac, truncated_squares
-from visctrl.geometry.two_view import epipolar_fit
+from visctrl.geometry.two_view import planar_free_fit
 from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.planar import PlanarMotion
-from visctrl.geometry.two_view.planar_residuals import Lines, PointPairs, squared_residuals
+from visctrl.geometry.two_view.planar_free_3pt import constraint_rows, null_vectors
+from visctrl.geometry.two_view.planar_free_residuals import Lines, PointPairs, squared_residuals
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,34 +51,6 @@ class PlanarEpipoles(PlanarMotion):
     """
 
     vector: Vector = (0.0, 0.0, 0.0, 0.0)
-
-
-def constraint_rows(points_a: ArrayLike, points_b: ArrayLike) -> Array:
-    """Return the coefficients (..., 4) of m in the constraint of points (..., 2)."""
-    a, b = np.asarray(points_a, dtype=np.float64), np.asarray(points_b, dtype=np.float64)
-    xa, ya, xb, yb = a[..., 0], a[..., 1], b[..., 0], b[..., 1]
-    return np.stack([yb * xa, -yb, -ya * xb, ya], axis=-1)
-
-
-def null_vectors(rows: ArrayLike) -> Array:
-    """Return the unit vectors (..., 4) orthogonal to the three rows of (..., 3, 4) matrices."""
-    M = np.asarray(rows, dtype=np.float64)
-    p, q, r = M[..., 0, :], M[..., 1, :], M[..., 2, :]
-    # 2×2 minors of the last two rows, then expansion along the first: a cross product in 4D.
-    minor = {
-        (i, j): q[..., i] * r[..., j] - q[..., j] * r[..., i] for i in range(4) for j in range(i)
-    }
-
-    def cofactor(i: int, j: int, k: int) -> Array:
-        return np.asarray(
-            p[..., i] * minor[k, j] - p[..., j] * minor[k, i] + p[..., k] * minor[j, i]
-        )
-
-    m = np.stack([cofactor(1, 2, 3), -cofactor(0, 2, 3), cofactor(0, 1, 3), -cofactor(0, 1, 2)], -1)
-    length = np.linalg.norm(m, axis=-1, keepdims=True)
-    # Dependent rows (repeated features, identical views) have no null vector of their own.
-    usual = np.sqrt(0.5) * np.array([1.0, 0.0, 1.0, 0.0])
-    return np.asarray(np.where(length > 1e-300, m / np.maximum(length, 1e-300), usual))
 
 
 def sampson_residuals(
@@ -133,7 +106,7 @@ def ransac_planar_epipoles(
         return _too_few(len(a))
     limit = threshold_sigmas * sigma
     starts = likely_lines(a, b, limit, hypotheses, seed, _FINALISTS)
-    ends, _ = epipolar_fit.descend(
+    ends, _ = planar_free_fit.descend(
         PointPairs.of(a, b, len(starts)), starts, sigma, limit=limit, iterations=_FINALIST_STEPS
     )
     squared = squared_residuals(a, b, np.array([_unit_vector(lines) for lines in ends]))
@@ -154,24 +127,6 @@ def likely_lines(
         keep=count,
     )
     return [_lines(_vector(m)) for m in found.models]
-
-
-def refine_planar_epipoles(
-    points_a: ArrayLike,
-    points_b: ArrayLike,
-    start: Vector,
-    sigma: float,
-    *,
-    threshold_sigmas: float = 4.0,
-) -> PlanarEpipoles:
-    """Refine planar epipoles from a nearby start; arguments as for `ransac_planar_epipoles`.
-
-    Parameters
-    ----------
-    start : m to start from.
-    """
-    pairs = PointPairs.of(points_a, points_b)
-    return refine_epipoles(pairs, [start], sigma, limit=threshold_sigmas * sigma)[0]
 
 
 def refine_epipoles(
@@ -200,7 +155,7 @@ def refine_epipoles(
         return [_too_few(pairs.features) for _ in starts]
     usable = None if present is None else present.ravel()
     lines = [_lines(start) for start in starts]
-    fits = epipolar_fit.fit(pairs, lines, sigma, limit=limit, usable=usable, iterations=_STEPS)
+    fits = planar_free_fit.fit(pairs, lines, sigma, limit=limit, usable=usable, iterations=_STEPS)
     return [_epipoles(found) for found in fits]
 
 
@@ -216,7 +171,7 @@ def turned(m: Vector, turn_a: float = 0.0, turn_b: float = 0.0) -> Vector:
     )
 
 
-def _epipoles(found: epipolar_fit.LinesFit) -> PlanarEpipoles:
+def _epipoles(found: planar_free_fit.LinesFit) -> PlanarEpipoles:
     count, features = int(np.count_nonzero(found.inliers)), len(found.inliers)
     if count < MINIMUM_FEATURES:
         shown = f"{count} of {features} features fit one motion, {MINIMUM_FEATURES} are needed"
