@@ -22,6 +22,8 @@ class PioneerOptions(BackendOptions):
     port : device (``/dev/ttyUSB0``, ``COM3``) or URL (``socket://host:8101``) of the robot.
     baud : rate of the line; searched for if left out.
     sonar : whether the sonar rings are switched on.
+    reconnect_s : for how long to begin new sessions after the line has failed; the robot stands
+        meanwhile. 0: the run fails at once.
     camera : the camera's source and settings.
     """
 
@@ -30,6 +32,7 @@ class PioneerOptions(BackendOptions):
     port: str = "/dev/ttyUSB0"
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] | None = None
     sonar: bool = True
+    reconnect_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
     camera: CaptureOptions = CaptureOptions()
 
 
@@ -55,7 +58,7 @@ class PioneerBackend(Backend):
         bauds = BAUDS if options.baud is None else (options.baud,)
         self.base = PioneerBase(
             options.port, setup.robot, setup.limits or setup.robot.operating, self.clock,
-            bauds, sonar=options.sonar,
+            bauds, sonar=options.sonar, reconnect_s=options.reconnect_s,
         )  # fmt: skip
         self.camera = CaptureCamera(setup.camera, options.camera, self.clock)
 

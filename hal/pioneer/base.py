@@ -14,7 +14,7 @@ import threading
 from collections.abc import Sequence
 
 from visctrl.hal.actuation import bounded, quantised
-from visctrl.hal.errors import DeviceError, LinkError
+from visctrl.hal.errors import DeviceError, InputError, LinkError
 from visctrl.hal.interfaces import Base, Clock
 from visctrl.hal.pioneer.commands import Command, Id
 from visctrl.hal.pioneer.config import Config
@@ -42,6 +42,10 @@ _CRAWL = Velocity(0.02, math.radians(3.0))
 _log = logging.getLogger(__name__)
 
 
+class _DisobedienceError(LinkError):
+    """The robot reports, but does not do what it is told: a new session would not help."""
+
+
 class PioneerBase(Base):
     """A Pioneer robot; one object serves one session.
 
@@ -59,6 +63,9 @@ class PioneerBase(Base):
         Line rates to try, the likeliest first.
     sonar : bool
         Whether the sonar rings are switched on.
+    reconnect_s : float
+        For how long to try and begin a new session after the line has failed; the robot stands
+        meanwhile, and commands answer standstill. 0: the failure is final.
     """
 
     whole_units = True
@@ -72,12 +79,15 @@ class PioneerBase(Base):
         bauds: Sequence[int] = BAUDS,
         *,
         sonar: bool = True,
+        reconnect_s: float = 0.0,
     ) -> None:
         self._link = Link(url, clock)
         self._session = Session(self._link, robot, bauds)
         self._limits = limits
         self._clock = clock
         self._sonar = sonar
+        self._reconnect_s = reconnect_s
+        self._away = threading.Event()  # the line has failed, and is being opened anew
         self._watcher: threading.Thread | None = None
         self._closing = threading.Event()
         self._connected = False
@@ -150,6 +160,10 @@ class PioneerBase(Base):
 
     def close(self) -> None:
         """Stop the robot, switch its motors off, end the session, release the port."""
+        if self._away.is_set() and self._watcher is not None:
+            self._closing.set()
+            self._link.abandoned.set()
+            self._watcher.join()
         if not self._link.is_open:
             return
         self._connected = False
@@ -182,8 +196,15 @@ class PioneerBase(Base):
         wanted = quantised(bounded(velocity, self._limits), self._limits)
         self._check()
         with self._motion:
+            if self._away.is_set():
+                return STANDSTILL
             sent = STANDSTILL if self._braked_for else wanted
-            self._send_set_point(sent)
+            try:
+                self._send_set_point(sent)
+            except LinkError:
+                if self._reconnect_s <= 0.0:
+                    raise
+                return STANDSTILL  # the watching thread finds out, too, and begins anew
         return sent
 
     def odometry(self) -> Odometry:
@@ -191,8 +212,10 @@ class PioneerBase(Base):
         return self._telemetry().odometry
 
     def status(self) -> BaseStatus:
-        """Return battery and faults; a dead line is one."""
+        """Return battery and faults; a dead line is one, unless it is being opened anew."""
         status = self._telemetry().status()
+        if self._away.is_set():
+            return BaseStatus(status.battery_v)
         if self._failure is not None:
             return BaseStatus(status.battery_v, (str(self._failure), *status.faults))
         return status
@@ -206,8 +229,9 @@ class PioneerBase(Base):
             The port does not take bytes.
         """
         with self._motion:
-            self._send(Command(Id.E_STOP), *REST)
             self._set_point = STANDSTILL
+            if not self._away.is_set():  # else it is stopped before anything else is sent
+                self._send(Command(Id.E_STOP), *REST)
 
     def echoes(self, max_age_s: float = 1.0) -> dict[int, float]:
         """Return the sonar ranges (m) of the last ``max_age_s``, by transducer number."""
@@ -228,12 +252,36 @@ class PioneerBase(Base):
                     self._session.take(packet)
                 self._guard(self._telemetry())
             except LinkError as error:
-                self._failure = error
+                self._failure = self._recover(error)
             except Exception as error:
                 self._failure = LinkError(f"the driver has failed: {error!r}")
                 _log.exception("the driver has failed")
         if self._failure is not None and not self._closing.is_set():
             self._try_to_stop()
+
+    def _recover(self, lost: LinkError) -> DeviceError | None:
+        """Begin a new session, if that is wanted; return what ends the drive, None for nothing."""
+        if self._reconnect_s <= 0.0 or isinstance(lost, _DisobedienceError):
+            return lost
+        _log.warning("%s: reconnecting for %g s; the robot stands", lost, self._reconnect_s)
+        self._try_to_stop()
+        deadline = self._clock.now() + self._reconnect_s
+        with self._motion:
+            self._away.set()
+        try:
+            again = self._session.renew(self._clock, deadline, self._limits, sonar=self._sonar)
+        except DeviceError as error:
+            return error
+        except InputError as error:
+            return LinkError(str(error))
+        if not again:
+            return lost
+        _log.warning("connected again")
+        now = self._clock.now()
+        with self._motion:
+            self._heard_at, self._silence, self._listened_at, self._obeyed_at = now, 0.0, now, now
+            self._away.clear()
+        return None
 
     def _guard(self, telemetry: Telemetry) -> None:
         """Brake or give up if something is wrong; feed the watchdog of a standing robot."""
@@ -273,7 +321,7 @@ class PioneerBase(Base):
         if _idle(self._set_point) or not telemetry.standing:
             self._obeyed_at = now
         elif now - self._obeyed_at > (limit := self._session.timing.disobedient_s):
-            raise LinkError(
+            raise _DisobedienceError(
                 f"the robot reports, but has not moved for {limit:.1f} s although told to: "
                 "it does not hear, or something holds it"
             )

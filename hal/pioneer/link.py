@@ -58,6 +58,8 @@ class Link:
         self._port: serial.Serial | None = None
         self._decoder = StreamDecoder()
         self._sending = threading.Lock()
+        #: Set to let whoever waits in `receive_for` give up.
+        self.abandoned = threading.Event()
         #: Rate of a real line; None for what has none.
         self.baud: int | None = None
         #: When the last command went out (s).
@@ -158,9 +160,17 @@ class Link:
         return self._decoder.feed(data, self._clock.now())
 
     def receive_for(self, seconds: float) -> Iterator[Packet]:
-        """Yield packets as they arrive during the next ``seconds``."""
+        """Yield packets as they arrive during the next ``seconds``.
+
+        Raises
+        ------
+        LinkError
+            The port is gone, or the link has been abandoned.
+        """
         deadline = self._clock.now() + seconds
         while self._clock.now() < deadline:
+            if self.abandoned.is_set():
+                raise LinkError(f"port {self.url}: given up")
             yield from self.receive()
 
     @property

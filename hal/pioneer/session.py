@@ -10,6 +10,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from visctrl.hal.errors import BaseFaultError, InputError, LinkError
+from visctrl.hal.interfaces import Clock
 from visctrl.hal.pioneer.commands import Command, Id
 from visctrl.hal.pioneer.config import Config, decode_config
 from visctrl.hal.pioneer.handshake import Contact, connect
@@ -30,6 +31,8 @@ from visctrl.robots import Limits, Robot
 
 _OPEN_TRIES, _FIRST_REPORT_S = 6, 0.4
 _CONTACTS = 3
+#: Between two attempts to begin anew (s).
+_PAUSE_S = 0.25
 _CONFIG_TRIES, _CONFIG_S = 6, 0.2
 _ENABLE_TRIES, _ENABLE_S = 5, 0.5
 
@@ -37,7 +40,7 @@ _log = logging.getLogger(__name__)
 
 
 class Session:
-    """One session over an open link; one object serves one session.
+    """A session over an open link, and those that follow it when the line has failed.
 
     Parameters
     ----------
@@ -99,6 +102,32 @@ class Session:
         why = "; ".join(telemetry.blockers()) or "press the MOTORS button on the robot"
         raise BaseFaultError(f"the motors cannot be enabled: {why}")
 
+    def renew(self, clock: Clock, deadline: float, limits: Limits, *, sonar: bool) -> bool:
+        """Begin anew after the line has failed; attempts begin until ``deadline`` (s).
+
+        Odometry goes on: the controller's counters survive sessions, and where it says that it
+        has restarted, the pose so far is kept. Return whether the motors are on again.
+
+        Raises
+        ------
+        BaseFaultError, InputError
+            The robot answers, but cannot go on, or is another one.
+        """
+        if self._link.baud is not None:
+            self._bauds = (self._link.baud,)
+        while clock.now() < deadline and not self._link.abandoned.is_set():
+            self._link.close()
+            clock.sleep_until(clock.now() + _PAUSE_S)
+            try:
+                self._link.open()
+                self.begin()
+                self.enable(limits, sonar=sonar)
+            except LinkError as error:
+                _log.info("not yet: %s", error)
+            else:
+                return True
+        return False
+
     def take(self, packet: Packet) -> None:
         """Take a packet from the robot.
 
@@ -117,6 +146,7 @@ class Session:
                 self._config = decode_config(packet)
                 telemetry.configure(self._config)
             elif packet.id in RESET_TYPES:
+                telemetry.restart()
                 raise LinkError("the robot's controller has restarted: its session is lost")
         except ReportError as error:
             _log.warning("ignored: %s", error)
@@ -134,7 +164,9 @@ class Session:
                 subclass = find_subclass(name, (self._robot,))
             else:
                 subclass = expected_subclass(name, self._robot, self._link.url)
-            self.telemetry = telemetry = Telemetry(subclass)
+            telemetry = self.telemetry
+            if telemetry is None or telemetry.subclass != subclass:
+                self.telemetry = telemetry = Telemetry(subclass)
             # A robot whose watchdog has acted drives on with its old set-points as soon as any
             # packet arrives: from here on, those are taken back first.
             self._link.after_pause = REST
@@ -145,9 +177,10 @@ class Session:
 
     def _reports(self, telemetry: Telemetry, patience: float) -> bool:
         """Open the session; return whether it reports."""
+        before = telemetry.last_report
         for _ in range(_OPEN_TRIES):
             self._link.send(Command(Id.OPEN))
-            if self._wait(patience, lambda: telemetry.reported):
+            if self._wait(patience, lambda: telemetry.last_report > before):
                 return True
         return False
 

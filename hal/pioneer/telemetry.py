@@ -46,7 +46,7 @@ class Telemetry:
     """
 
     def __init__(self, subclass: Subclass) -> None:
-        self._subclass = subclass
+        self.subclass = subclass
         self._low_battery_v = _LOW_BATTERY_V
         self._last: StandardReport | None = None
         self._heading = 0  # accumulated since the origin, in the firmware's units
@@ -72,18 +72,19 @@ class Telemetry:
     def take(self, report: StandardReport, stamp: float) -> None:
         """Take a report that arrived at ``stamp`` (s)."""
         if self._last is None:
-            self._origin_heading = report.motion.theta
+            # The first report is the origin; after a restart, the pose so far is.
+            self._origin_heading = report.motion.theta - self._heading
         else:
             self._advance(self._last, report, stamp - self.last_report)
         self._last, self.last_report = report, stamp
         self.odometry = Odometry(stamp, self._pose(), self._velocity(report))
         for reading in report.sonar:
-            range_m = reading.range * self._subclass.units.range_mm / 1e3
+            range_m = reading.range * self.subclass.units.range_mm / 1e3
             self.echoes[reading.number] = Echo(range_m, stamp)
 
     def ranges(self, now: float, oldest: float) -> list[Range]:
         """Return the sonar readings at most ``oldest`` s old; infinite where nothing echoed."""
-        ring, found = self._subclass.sonar, []
+        ring, found = self.subclass.sonar, []
         if ring is None:
             return []
         for number, echo in sorted(dict(self.echoes).items()):
@@ -93,6 +94,10 @@ class Telemetry:
                 age = max(now - echo.stamp, 0.0)
                 found.append(Range(-at.left_m, at.forward_m, -at.direction_rad, distance, age))
         return found
+
+    def restart(self) -> None:
+        """Go on from the pose so far: the controller has restarted, its counters with it."""
+        self._last = None
 
     @property
     def reported(self) -> bool:
@@ -147,7 +152,7 @@ class Telemetry:
         return Flags(self._last.motion.flags if self._last else 0)
 
     def _advance(self, before: StandardReport, now: StandardReport, dt: float) -> None:
-        metres = self._subclass.units.distance_mm / 1e3
+        metres = self.subclass.units.distance_mm / 1e3
         dx = _wrapped(now.motion.x - before.motion.x, _POSITION_WRAP) * metres
         dy = _wrapped(now.motion.y - before.motion.y, _POSITION_WRAP) * metres
         turned = _wrapped(now.motion.theta - before.motion.theta, _HEADING_WRAP)
@@ -170,7 +175,7 @@ class Telemetry:
         left, right = report.motion.left, report.motion.right
         rate = report.tail.turn_rate
         if rate is None:
-            omega = (right - left) / 2.0 * self._subclass.arcos.turn_per_difference
+            omega = (right - left) / 2.0 * self.subclass.arcos.turn_per_difference
         else:
             omega = math.radians(rate / 10.0)
         return Velocity((left + right) / 2e3, omega)

@@ -23,9 +23,9 @@ class Bench:
     site: Site
     robot: Emulator
 
-    def base(self, robot: str = "p3dx") -> PioneerBase:
+    def base(self, robot: str = "p3dx", **options: float) -> PioneerBase:
         its = load_robot(robot)
-        return PioneerBase(self.robot.url, its, its.operating, WallClock())
+        return PioneerBase(self.robot.url, its, its.operating, WallClock(), **options)  # type: ignore[arg-type]
 
     def drive(self, base: PioneerBase, velocity: Velocity, seconds: float) -> Velocity:
         """Command at 10 Hz, as a scheduler that stops for every fault does."""

@@ -157,3 +157,90 @@ def test_what_a_line_can_carry(bench: MakeBench, caplog: pytest.LogCaptureFixtur
     base.open()
     base.close()
     assert base.line_load is None
+
+
+# --- reconnecting within a run ---------------------------------------------------------------
+
+
+def told(it: Any, base: Any, seconds: float) -> list[Velocity]:
+    """Command full speed at 10 Hz; return what was sent each time."""
+    sent = []
+    for _ in range(round(10 * seconds)):
+        sent.append(base.command(Velocity(0.4, 0.0)))
+        assert base.status().faults == ()
+        it.site.world.sleep(0.1)
+    return sent
+
+
+@pytest.mark.parametrize("kind", ["silent", "reset", "lost", "hung up"])
+def test_a_line_that_comes_back_within_a_run(bench: MakeBench, kind: str) -> None:
+    it = bench("socket" if kind == "hung up" else "pty")
+    line = it.site.line(it.robot)
+    base = it.base(reconnect_s=10.0)
+    base.open()
+    try:
+        it.get_up_to(base, Velocity(0.4, 0.0))
+        before = base.odometry().pose
+        if kind == "hung up":
+            line.hung_up = True
+        else:
+            it.robot.faults.switch_on(kind, 1.0 if kind == "lost" else None)
+        began = it.robot.now()
+        away = told(it, base, 2.5)
+        assert STANDSTILL in away
+        if kind != "reset":  # after which a new session begins at once
+            assert away[-1] == STANDSTILL
+            assert it.robot.velocity == STANDSTILL
+            only_the_watchdog_can_act = kind in ("lost", "hung up")
+            assert it.robot.standing_since - began < (2.7 if only_the_watchdog_can_act else 0.6)
+        if kind == "hung up":
+            line.hung_up = False
+        else:
+            it.robot.faults.switch_off(kind)
+        told(it, base, 7.0)
+        assert it.robot.velocity.v == pytest.approx(0.4), "it goes on"
+        truth, pose = it.robot.pose, base.odometry().pose
+        assert pose.y > before.y + 0.4
+        # A report is up to 0.1 s old, at 0.4 m/s. After a restart, what the robot rolled between
+        # its last report and its standstill is missing as well.
+        assert abs(pose.y - truth.y) < (0.15 if kind == "reset" else 0.05)
+    finally:
+        base.close()
+    it.standstill_after(0.2)
+    assert not it.robot.motors
+
+
+@pytest.mark.parametrize("closes", [False, True])
+def test_a_line_that_stays_away(bench: MakeBench, closes: bool) -> None:
+    """The drive ends with the first failure; closing meanwhile does not wait for an attempt."""
+    it = bench()
+    base = it.base(reconnect_s=3.0)
+    base.open()
+    it.get_up_to(base, Velocity(0.4, 0.0))
+    it.robot.faults.switch_on("lost", 1.0)
+    try:
+        if closes:
+            told(it, base, 1.5)
+        else:
+            with pytest.raises(LinkError, match="has not reported"):
+                told(it, base, 30.0)
+    finally:
+        began = it.site.world.now
+        base.close()
+    assert it.site.world.now - began < 1.0
+    it.robot.faults.switch_off("lost")
+    it.site.world.sleep(2.5)
+    it.next_run_works(legal=False)
+
+
+def test_without_being_asked_nothing_is_opened_anew(bench: MakeBench) -> None:
+    it = bench()
+    base = it.base()
+    base.open()
+    it.get_up_to(base, Velocity(0.4, 0.0))
+    it.robot.faults.switch_on("silent")
+    try:
+        with pytest.raises(LinkError, match="has not reported"):
+            told(it, base, 2.0)
+    finally:
+        base.close()
