@@ -117,7 +117,7 @@ def test_options_override_the_scenario_and_start_takes_negative_numbers(
     )
     assert done.returncode == 1, done.stderr
     assert done.stdout == ""
-    assert "missed: the controller had not finished after 1" in done.stderr
+    assert "the controller had not finished after 1" in done.stderr
     effective = yaml.safe_load((tmp_path / "o" / "config.yaml").read_text())
     assert effective["start"] == {"x_m": -0.1, "y_m": -1.5, "phi_deg": -10.0}
     assert (effective["robot"], effective["seed"], effective["duration_s"]) == ("p3at", 5, 1.0)

@@ -64,7 +64,7 @@ def test_view_is_taken_and_judged(robot: Emulator, teach: Teach) -> None:
     code, out, err = teach("-o", "here.npz", "--frames", "3", "--preview", "look.png")
     assert code == 0, err
     lines = out.splitlines()
-    assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "ok", "files"]
+    assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "ok", "ok", "files"]
     assert "every scheme" in lines[0]
     assert "here.npz" in lines[4]
     assert "look.png" in lines[4]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import html.parser
 import json
 import re
@@ -88,7 +89,7 @@ def test_every_run_leaves_a_report_of_what_its_estimator_is(
         assert words in page
     assert page.count("data:image/jpeg") == 3
     summary = json.loads((runs[scheme] / "summary.json").read_text())
-    assert summary["reason"] in page
+    assert html.escape(summary["reason"]) in page
     assert f"visctrl run {runs[scheme]}" in page
 
 

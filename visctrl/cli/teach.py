@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -41,6 +42,9 @@ _DARK, _BRIGHT = 40, 215
 _CONTRAST, _ABOVE_NOISE = 15, 8
 #: Share of the visible sectors that hold features in a good picture.
 _SPREAD = 0.6
+#: Corners that decide arrival at least, on the floor too if that is to give the metres, and the
+#: standard deviations (m, rad) from which it stays in doubt.
+_CORNERS, _FLOOR, _ARRIVAL_M, _ARRIVAL_RAD = 40, 4, 0.005, math.radians(0.25)
 
 
 def teach(
@@ -81,7 +85,7 @@ def teach(
             mount=plan.mount,
         )
     quality = assess(frames, plan.camera)
-    findings = judge(quality)
+    findings = [*judge(quality), judge_arrival(view, plan)]
     with owner_only(unless=shared):
         view.save(out)
         _save_preview(picture, frames[0], plan, quality)
@@ -119,6 +123,26 @@ def judge(quality: Quality) -> list[tuple[bool, str, str]]:
             light or "well lit",
         ),
     ]
+
+
+def judge_arrival(view: TargetView, plan: Plan) -> tuple[bool, str, str]:
+    """Return whether a view will tell that the robot has arrived, and what would help."""
+    from visctrl.schemes.arrival.teaching import decidability
+
+    found = decidability(list(view.images), plan.camera, plan.mount.height_m)
+    figure = f"{found.features} corners to judge arrival by, {found.floor} of them on the floor"
+    if found.features < _CORNERS:
+        return False, figure, "too few: turn to more texture, light it better, or add marks"
+    if found.position_sd > _ARRIVAL_M or found.heading_sd > _ARRIVAL_RAD:
+        meaning = "arrival will stay in doubt: show it things nearer by and in more directions"
+        return False, figure, meaning
+    if found.twin is not None:
+        turn = f"{math.degrees(found.twin):.0f} deg"
+        return False, figure, f"looks the same turned by {turn}: add something that does not"
+    sds = f"± {100.0 * found.position_sd:.2f} cm, ± {math.degrees(found.heading_sd):.2f} deg"
+    if found.floor < _FLOOR:
+        return True, figure, f"{sds} (at 4 m); how far, the wheels will tell"
+    return True, figure, f"arrival will be told to {sds}"
 
 
 def _reach(quality: Quality) -> str:

@@ -32,6 +32,11 @@ class Entry:
 
 _ENTRIES = (
     Entry(
+        "arrival",
+        "1,650 pictures about targets in 15 worlds: arrival by the image (the project's bounds)",
+        "visctrl.reproduce.arrival:arrival",
+    ),
+    Entry(
         "sim-starts",
         "48 seeded starts on rendered images, trifocal scheme (bounds are the project's own)",
         "visctrl.reproduce.main_job:starts",

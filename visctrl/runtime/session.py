@@ -17,6 +17,7 @@ from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Pose
 from visctrl.robots.errors import DiskError, InputError, VisctrlError
 from visctrl.robots.files import owner_only, writing
+from visctrl.runtime.arrival import TAUGHT, ArrivalWatch
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
@@ -32,7 +33,8 @@ from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.safety import Guard, LostError
 from visctrl.runtime.stop import StopRequest, StopRequested
 from visctrl.runtime.summary import FAULT as FAULTED
-from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, judge, summarise
+from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, Results, judge, summarise
+from visctrl.schemes.arrival.check import Verdict
 from visctrl.threads import one_thread_of_algebra
 
 T = TypeVar("T")
@@ -105,8 +107,10 @@ class _Session:
         self._stop_request = stop
         self._directory = directory
         self._meter = Meter()
+        self._arrival = ArrivalWatch(plan)
+        self._verdict: Verdict | None = None
         self._watchers = tuple(observers)
-        self._observers: list[Observer] = [self._meter, *self._watchers]
+        self._observers: list[Observer] = [self._meter, self._arrival, *self._watchers]
         self._recorder: Recorder | None = None
         self._images: ImageRecorder | None = None
         if self._directory is not None and plan.scenario.record_images:
@@ -119,7 +123,7 @@ class _Session:
         self._unsaved = False
         self._truth: Pose | None = None
         self._began: tuple[float, float] | None = None
-        self._took = (0.0, 0.0)
+        self._took: tuple[float, float] | None = None
 
     def run(self) -> Outcome:
         with self._interrupts:
@@ -199,7 +203,9 @@ class _Session:
                 waited = f"after {stage.duration:g} s"
                 return End(MISSED, f"the robot did not face the target {waited}", 1)
         self._settle(backend)
-        return judge(plan, finished, backend.truth(), backend.collisions())
+        self._stop_watches(backend)
+        self._verdict = self._arrival.judge(backend)
+        return judge(plan, finished, self._verdict, backend.collisions())
 
     def _run_stage(
         self, stage: Stage, loop: Loop, backend: Backend, perception: Perception[Any]
@@ -257,12 +263,18 @@ class _Session:
     def _take_target(self, backend: Backend, perception: Perception[Any]) -> None:
         self._tell("taking the target view")
         view = self._plan.target
-        frames = backend.teach(self._plan.scenario.target.frames) if view is None else view.frames()
+        count = self._plan.scenario.target.frames
+        # Features of one frame are too noisy to judge arrival by.
+        more = max(count, TAUGHT) if backend.delivers_features else count
+        frames = backend.teach(more) if view is None else view.frames()
         if not frames:
             raise InputError(
                 f"backend '{self._plan.scenario.backend}' cannot visit the target: take its view "
                 "there with `visctrl teach -o target.npz`, and run with --target target.npz"
             )
+        self._arrival.set_target(frames)
+        if view is None:
+            frames = frames[:count]
         call_plugin(self._perceiver, lambda: perception.set_target(frames))
         for observer in self._observers:
             observer.on_target(frames)
@@ -295,9 +307,7 @@ class _Session:
 
     def _stop(self, backend: Backend) -> None:
         """Stop the base and the plugins; a failure is noted and stops nothing else."""
-        if self._began is not None:
-            clock_began, wall_began = self._began
-            self._took = (backend.clock.now() - clock_began, time.perf_counter() - wall_began)
+        self._stop_watches(backend)
         self._attempt("the base could not be stopped", backend.base.stop)
         for plugin in self._plugins:
             name = type(plugin).__name__
@@ -305,6 +315,12 @@ class _Session:
                 f"{name} could not say what there is to know", partial(self._hear, plugin)
             )
             self._attempt(f"{name} could not be closed", plugin.close)
+
+    def _stop_watches(self, backend: Backend) -> None:
+        """Note how long it took; once."""
+        if self._began is not None and self._took is None:
+            clock_began, wall_began = self._began
+            self._took = (backend.clock.now() - clock_began, time.perf_counter() - wall_began)
 
     def _hear(self, plugin: Plugin[Any]) -> None:
         self._notes += plugin.notes()
@@ -319,7 +335,9 @@ class _Session:
     # --- with the backend closed -------------------------------------------------------------
 
     def _finish(self, end: End) -> Outcome:
-        summary = summarise(self._plan, end, self._meter, self._tally, self._truth, self._took)
+        took = self._took or (0.0, 0.0)
+        results = Results(self._meter, self._tally, self._verdict, self._truth, took)
+        summary = summarise(self._plan, end, results)
         for kept in (self._recorder, self._images):
             if kept is not None:
                 self._attempt("recording", kept.close)

@@ -11,11 +11,14 @@ from typing import Any
 
 import visctrl
 from visctrl.hal.types import Pose
+from visctrl.runtime.arrival import reported
 from visctrl.runtime.loop import Tally
 from visctrl.runtime.meter import PARTS, Meter
 from visctrl.runtime.plan import Plan
+from visctrl.schemes.arrival.check import Answer, Verdict
 
-REACHED, MISSED, LOST, STOPPED, FAULT = "reached", "missed", "lost", "stopped", "fault"
+REACHED, MISSED, DOUBTFUL = "reached", "missed", "doubtful"
+LOST, STOPPED, FAULT = "lost", "stopped", "fault"
 
 _PACKAGES = {
     "numpy": "numpy",
@@ -38,48 +41,60 @@ class End:
     details: str = ""
 
 
-def judge(plan: Plan, finished: bool, truth: Pose | None, collisions: int) -> End:
+@dataclass(frozen=True)
+class Results:
+    """What a run has left behind.
+
+    verdict : what the picture at the end says; None where it was not looked at.
+    truth : final true pose, None where unknown.
+    timing : (duration, wall), seconds on the backend's clock and on the wall's, first tick to
+        standstill.
+    """
+
+    meter: Meter
+    tally: Tally
+    verdict: Verdict | None
+    truth: Pose | None
+    timing: tuple[float, float]
+
+
+def judge(plan: Plan, finished: bool, verdict: Verdict, collisions: int) -> End:
     """Return how a run that went to its end has ended.
 
-    ``reached`` needs the controller's own termination test, no contact with anything, and,
-    where the truth is known, a final pose within the tolerance.
+    ``reached`` needs that the robot touched nothing and that the picture is the target's. The
+    truth has no say: a robot does not have it.
     """
     if collisions:
         return End(MISSED, f"the robot touched something ({collisions} contacts)", 1)
-    if not finished:
-        allowed = f"{plan.scenario.duration_s:g} s"
-        return End(MISSED, f"the controller had not finished after {allowed}", 1)
+    allowed = f"after {plan.scenario.duration_s:g} s"
+    did = "the controller finished" if finished else f"the controller had not finished {allowed}"
+    if verdict.answer is Answer.THERE:
+        return End(REACHED, f"{did}, and the picture is the target's: {verdict.reason}", 0)
+    if verdict.answer is Answer.ELSEWHERE:
+        return End(MISSED, f"{did}, but the picture is not the target's: {verdict.reason}", 1)
+    return End(DOUBTFUL, f"{did}, but the picture cannot tell: {verdict.reason}", 1)
+
+
+def against_truth(plan: Plan, end: End, truth: Pose | None) -> dict[str, Any] | None:
+    """Return what the truth says of a run and of its status; None where it is not known."""
     if truth is None:
-        return End(REACHED, "the controller finished; the true pose is not known", 0)
+        return None
     tolerance = plan.scenario.tolerance
     distance, heading = math.hypot(truth.x, truth.y), abs(math.degrees(truth.phi))
-    where = f"{100.0 * distance:.2f} cm and {heading:.2f} deg from the target"
-    if distance <= tolerance.position_m and heading <= tolerance.heading_deg:
-        return End(REACHED, f"the controller finished {where}", 0)
-    return End(MISSED, f"the controller finished, but {where}", 1)
+    there = distance <= tolerance.position_m and heading <= tolerance.heading_deg
+    return {
+        "distance_m": distance,
+        "heading_deg": heading,
+        "within_tolerance": there,
+        "false_success": end.status == REACHED and not there,
+    }
 
 
-def summarise(
-    plan: Plan,
-    end: End,
-    meter: Meter,
-    tally: Tally,
-    truth: Pose | None,
-    timing: tuple[float, float],
-) -> dict[str, Any]:
-    """Return the summary that ``--json`` prints and ``summary.json`` holds.
-
-    Parameters
-    ----------
-    plan, end, meter, tally
-        What ran, how it ended, what was measured and counted.
-    truth : Pose or None
-        Final true pose.
-    timing : (duration, wall)
-        Seconds on the backend's clock and on the wall's, first tick to standstill.
-    """
+def summarise(plan: Plan, end: End, results: Results) -> dict[str, Any]:
+    """Return the summary that ``--json`` prints and ``summary.json`` holds."""
     scenario = plan.scenario
-    duration, wall = timing
+    meter, tally, truth = results.meter, results.tally, results.truth
+    duration, wall = results.timing
     return {
         "status": end.status,
         "reason": end.reason,
@@ -91,6 +106,8 @@ def summarise(
         "final_error": None
         if truth is None
         else {"x_m": truth.x, "y_m": truth.y, "phi_deg": math.degrees(truth.phi)},
+        "arrival": reported(results.verdict),
+        "truth": against_truth(plan, end, truth),
         "path_length_m": meter.path_length,
         "duration_s": duration,
         "period_s": plan.period_s,
