@@ -21,9 +21,9 @@ from visctrl.calibration.boards import Board
 from visctrl.calibration.camera import BoardView, Calibration, Model, calibrate
 from visctrl.calibration.centre import Centre, find_centre
 from visctrl.calibration.edges import Segments, find_segments
-from visctrl.hal.cameras.catalogue import load_camera, parse_camera
+from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.central import CentralCamera
-from visctrl.hal.cameras.files import FORMATS, Format, read_camera, write_camera
+from visctrl.hal.cameras.files import FORMATS, Format, find_camera, write_camera
 from visctrl.robots.errors import InputError
 from visctrl.robots.files import write_bytes, writing
 from visctrl.runtime.recording import SUFFIXES, image_files, read_image
@@ -107,7 +107,7 @@ def calibrate_centre(
     form = _format(form)
     if out is not None and camera is None:
         raise InputError("--out: say with --camera which calibration shall get the new centre")
-    known = _camera(camera) if camera is not None else None
+    known = find_camera(camera) if camera is not None else None
     files = _files(sources)
     images = _images(files, known)
     size = (images[0].shape[1], images[0].shape[0])
@@ -129,7 +129,7 @@ def calibrate_centre(
         _show_centre(report, known, out)
 
 
-def convert(source: str, out: Path, form: str, changes: dict[str, Any]) -> None:
+def convert(source: str, cam: int | None, out: Path, form: str, changes: dict[str, Any]) -> None:
     """Read a calibration of any known format and write it in another.
 
     Raises
@@ -137,7 +137,7 @@ def convert(source: str, out: Path, form: str, changes: dict[str, Any]) -> None:
     InputError
         It cannot be read, or the format cannot hold it.
     """
-    camera = _camera(source)
+    camera = find_camera(source, cam)
     if changes:
         camera = parse_camera({**camera.model_dump(), **changes}, source)
     write_camera(camera, out, _format(form))
@@ -284,12 +284,6 @@ def _show_centre(report: dict[str, Any], known: CentralCamera | None, out: Path 
         )
     if out is not None:
         print(f"written to {out}")
-
-
-def _camera(name: str) -> CentralCamera:
-    """Return a camera by the name of a built-in one, or of a calibration file."""
-    path = Path(name)
-    return read_camera(path) if path.suffix or os.path.exists(path) else load_camera(name)
 
 
 def _format(name: str) -> Format:

@@ -122,8 +122,11 @@ def convert_command(
     ] = None,
     polar: PolarOption = None,
     name: Annotated[str | None, typer.Option(help="Another name for the camera.")] = None,
+    cam: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="Which camera of a file with several.")
+    ] = None,
 ) -> None:
-    """Write a calibration in another format: this program's, Kalibr's or OpenCV's."""
+    """Write a calibration in another format (--format)."""
     from visctrl.cli.calibrate import convert
 
     changes: dict[str, object] = {}
@@ -133,7 +136,7 @@ def convert_command(
         changes["min_polar_deg"], changes["max_polar_deg"] = polar
     if name is not None:
         changes["name"] = name
-    convert(source, out, form, changes)
+    convert(source, cam, out, form, changes)
 
 
 @calibration.command("board")

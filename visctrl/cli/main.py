@@ -130,6 +130,9 @@ def run_command(
     scheme: SchemeOption = None,
     robot: RobotOption = None,
     camera: CameraOption = None,
+    cam: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="Which camera of a file with several.")
+    ] = None,
     start: StartOption = None,
     duration: DurationOption = None,
     seed: SeedOption = None,
@@ -193,6 +196,7 @@ def run_command(
         scheme=scheme,
         robot=robot,
         camera=camera,
+        cam=cam,
         start=start,
         duration=duration,
         seed=seed,

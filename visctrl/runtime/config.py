@@ -60,12 +60,14 @@ class ProviderChoice(PluginChoice):
 class CameraChoice(StrictModel):
     """Which camera the robot carries, and where.
 
-    name : of a built-in camera, or the path of a calibration (``.yaml``).
+    name : of a built-in camera, or the path of a calibration.
+    cam : which camera, of a calibration that holds several.
     width, height : image size (px); the camera's own if left out, and one follows from the other.
     mount : name of one of the robot's mounts; the scheme's own if left out.
     """
 
     name: str = "hypercatadioptric"
+    cam: Annotated[int, Field(ge=0)] | None = None
     width: Annotated[int, Field(gt=0, le=10_000)] | None = None
     height: Annotated[int, Field(gt=0, le=10_000)] | None = None
     mount: str | None = None

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from visctrl.contracts import Context, Controller, Estimator, ObstacleProvider, Perception
-from visctrl.hal.cameras.catalogue import load_camera, parse_camera
+from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.central import CentralCamera
-from visctrl.hal.cameras.files import read_camera
+from visctrl.hal.cameras.files import find_camera
 from visctrl.hal.interfaces import Backend, BackendOptions, BackendSetup
 from visctrl.robots import Limits, Robot, load_robot
 from visctrl.robots.documents import StrictModel, validate
@@ -336,10 +336,7 @@ def chosen_camera(choice: CameraChoice) -> CentralCamera:
     InputError
         No such camera or file, or a size of another shape.
     """
-    if choice.name.endswith((".yaml", ".yml")):
-        camera = read_camera(Path(choice.name))
-    else:
-        camera = load_camera(choice.name)
+    camera = find_camera(choice.name, choice.cam)
     if choice.width is None and choice.height is None:
         return camera
     width = choice.width or round(camera.width * (choice.height or 0) / camera.height)
