@@ -78,6 +78,18 @@ class CentralCamera(StrictModel, ABC):
             raise ValueError("min_polar_deg must be less than max_polar_deg")
         return self
 
+    def __eq__(self, other: object) -> bool:
+        # What has been computed and kept beside the fields is arrays, which do not compare.
+        return type(self) is type(other) and self._values == other._values
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._values))
+
+    @property
+    def _values(self) -> tuple[object, ...]:
+        """What the fields hold."""
+        return tuple(getattr(self, key) for key in type(self).model_fields)
+
     # --- the projection model ----------------------------------------------------------------
 
     @abstractmethod

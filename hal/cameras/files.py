@@ -72,7 +72,8 @@ def read_camera(path: Path, cam: int | None = None) -> CentralCamera:
         return basalt.read(data, where, cam, path.stem)
     if kalibr.recognises(data):
         return kalibr.read(data, where, cam, path.stem)
-    return _only(cam, where, _single(data, where, path.stem))
+    header = text.lstrip()[:12].startswith("%YAML:1.0") or "opencv-matrix" in text
+    return _only(cam, where, _single(data, where, path.stem, of_opencv=header))
 
 
 def find_camera(name: str, cam: int | None = None) -> CentralCamera:
@@ -108,15 +109,18 @@ def write_camera(camera: CentralCamera, path: Path, form: Format) -> None:
         write_text(path, text)
 
 
-def _single(data: Mapping[str, Any], where: str, name: str) -> CentralCamera:
-    """Return the camera of a file of a format that holds one."""
+def _single(data: Mapping[str, Any], where: str, name: str, *, of_opencv: bool) -> CentralCamera:
+    """Return the camera of a file of a format that holds one.
+
+    of_opencv : the text has what only OpenCV's storage has.
+    """
     if camodocal.recognises(data):
         return camodocal.read(data, where, name)
     if ros.recognises(data):
         return ros.read(data, where, name)
     # A model's name of ours goes with our own keys, whatever else there is.
     ours = data.get("model") in model_names() or ":" in str(data.get("model", ""))
-    if not ours and opencv.recognises(data):
+    if not ours and (of_opencv or opencv.recognises(data)):
         return opencv.read(data, where, name)
     if len(_OWN & set(data)) < 2:
         keys = ", ".join(map(str, list(data)[:6])) or "none"

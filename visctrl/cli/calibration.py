@@ -45,7 +45,12 @@ SizeOption = Annotated[
 ]
 SquareOption = Annotated[float, typer.Option(metavar="M", help="Side of a square (m).")]
 FormatOption = Annotated[
-    str, typer.Option("--format", metavar="NAME", help="visctrl, kalibr or opencv.")
+    str,
+    typer.Option(
+        "--format",
+        metavar="NAME",
+        help="visctrl, kalibr, opencv, ros, camodocal, basalt, ocamcalib or colmap.",
+    ),
 ]
 OutOption = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="FILE", help="Calibration to write.")

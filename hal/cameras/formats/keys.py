@@ -114,7 +114,7 @@ class Keys:
         known = {self._spell(key) for key in harmless}
         for key in self._data:
             if key not in self._read and self._spell(key) not in known:
-                hint = suggestion(key, known | {self._spell(k) for k in self._read})
+                hint = suggestion(key, self._read)
                 raise InputError(f"{self.where}: key '{key}' is not understood; {hint}")
 
 

@@ -63,7 +63,8 @@ def read(data: Mapping[str, Any], where: str, name: str) -> CentralCamera:
     ours = keys.ours()
     keys.all_known(_HARMLESS)
     camera = camera_of(fields, ours, where, name)
-    if kind == "" and camera.model == "pinhole-radtan" and _suspicious(camera):
+    ambiguous = kind == "" and ours is None and camera.model == "pinhole-radtan"
+    if ambiguous and len(keys.numbers(*DISTORTION)) == 4 and _suspicious(camera):
         raise InputError(
             f"{where}: key '{keys.find(*DISTORTION)}': these are no pinhole's coefficients: if the "
             "camera is a fisheye, say so with 'fisheye_model: 1'"
@@ -231,7 +232,7 @@ def _xml_text(content: Mapping[str, Any]) -> str:
 
 def _xml_scalar(value: str | float) -> str:
     if isinstance(value, str):
-        return f'"{escape(value)}"'
+        return '"' + escape(value, {'"': "&quot;"}) + '"'
     return str(value) if isinstance(value, int) else _number_text(value)
 
 

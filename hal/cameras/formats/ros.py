@@ -32,11 +32,10 @@ _HARMLESS = (
 
 def recognises(data: Mapping[str, Any]) -> bool:
     """Return whether a mapping has the keys of the file or of the message."""
-    if "distortion_model" not in data:
-        return False
-    of_file = isinstance(data.get("camera_matrix"), Mapping)
-    of_message = ("K" in data or "k" in data) and "height" in data
-    return of_message or (of_file and "projection_matrix" in data)
+    rectified = "projection_matrix" in data or "rectification_matrix" in data
+    if "camera_matrix" in data:
+        return rectified
+    return "distortion_model" in data and ("K" in data or "k" in data) and "height" in data
 
 
 def read(data: Mapping[str, Any], where: str, name: str) -> CentralCamera:

@@ -35,7 +35,8 @@ def mapping_of(text: str, where: str) -> dict[str, Any]:
         except (ValueError, RecursionError) as error:
             raise InputError(f"{where}: {_reason(error)}") from None
         return data
-    plain = _OPENCV_TAGS.sub("", re.sub(r"^\s*%YAML:1\.0\s*\n", "", start))
+    # OpenCV's header is no YAML, or of a version that its own text is not.
+    plain = _OPENCV_TAGS.sub("", re.sub(r"^%YAML[: ]\s*1\.\d[^\n]*", "", start))
     try:
         return parse_yaml(plain, where)
     except InputError as error:
@@ -93,8 +94,8 @@ def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _scalar(text: str) -> Any:
     text = text.strip()
-    if text.startswith('"'):
-        return text.strip('"')
+    if len(text) > 1 and text[0] == text[-1] == '"':
+        return text[1:-1]
     words = text.split()
     try:
         values = [float(word.replace(".Nan", "nan").replace(".Inf", "inf")) for word in words]
