@@ -6,6 +6,7 @@ and back exactly, where the other format can hold them.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -85,7 +86,7 @@ def find_camera(name: str, cam: int | None = None) -> CentralCamera:
         There is no such camera or file (see `load_camera`, `read_camera`).
     """
     path = Path(name)
-    if name in camera_names() or not (path.suffix or len(path.parts) > 1 or path.exists()):
+    if name in camera_names() or not (path.suffix or len(path.parts) > 1 or os.path.exists(path)):
         return _only(cam, f"camera '{name}'", load_camera(name))
     return read_camera(path, cam)
 
