@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from visctrl.cli.options import CamOption
+
 
 class Kind(StrEnum):
     """Kinds of boards."""
@@ -127,9 +129,7 @@ def convert_command(
     ] = None,
     polar: PolarOption = None,
     name: Annotated[str | None, typer.Option(help="Another name for the camera.")] = None,
-    cam: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Which camera of a file with several.")
-    ] = None,
+    cam: CamOption = None,
 ) -> None:
     """Write a calibration in another format (--format)."""
     from visctrl.cli.calibrate import convert

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from visctrl.cli.options import SharedOption
+from visctrl.cli.options import CameraOption, SharedOption
 
 
 def add_hardware_commands(app: typer.Typer) -> None:
@@ -52,9 +52,6 @@ SetOption = Annotated[
 ]
 RobotOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="A robot's name, or the path of its robot.yaml.")
-]
-CameraOption = Annotated[
-    str | None, typer.Option(metavar="NAME", help="A camera's name, or a calibration file.")
 ]
 
 

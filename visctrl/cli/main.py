@@ -11,7 +11,7 @@ import typer
 from visctrl.cli.ending import Program, run_program
 from visctrl.cli.hardware import add_hardware_commands
 from visctrl.cli.images import add_image_commands
-from visctrl.cli.options import OverwriteOption, SharedOption, finite
+from visctrl.cli.options import CameraOption, CamOption, OverwriteOption, SharedOption, finite
 from visctrl.threads import limit_linear_algebra
 
 _INTERRUPTED = 130
@@ -73,9 +73,6 @@ SchemeOption = Annotated[
 RobotOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="A robot's name, or the path of its robot.yaml.")
 ]
-CameraOption = Annotated[
-    str | None, typer.Option(metavar="NAME", help="A camera's name, or a calibration file.")
-]
 StartOption = Annotated[
     tuple[float, float, float] | None,
     typer.Option(
@@ -130,9 +127,7 @@ def run_command(
     scheme: SchemeOption = None,
     robot: RobotOption = None,
     camera: CameraOption = None,
-    cam: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Which camera of a file with several.")
-    ] = None,
+    cam: CamOption = None,
     start: StartOption = None,
     duration: DurationOption = None,
     seed: SeedOption = None,

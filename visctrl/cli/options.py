@@ -15,6 +15,12 @@ def finite(value: float) -> float:
     return value
 
 
+CameraOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="A camera's name, or a calibration file.")
+]
+CamOption = Annotated[
+    int | None, typer.Option(metavar="N", min=0, help="Which camera of a file with several.")
+]
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the files of an earlier run in --out.")
 ]
