@@ -8,13 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from visctrl.contracts import Estimate, Perception
-from visctrl.hal.errors import BaseFaultError
+from visctrl.contracts import Estimate, Perception, Views
+from visctrl.hal.errors import BaseFaultError, StaleFrameError
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import STANDSTILL, Frame, Odometry, Pose, Range, Velocity
 from visctrl.runtime.boundaries import check_odometry, check_sent
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
+from visctrl.runtime.image_motion import ImageMotion
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.pipeline import Pipeline, Reporting, Stage, Watch, signals_of
 from visctrl.runtime.records import STAGES, Observer, TickRecord
@@ -151,6 +152,7 @@ class Loop:
         turn.begin()
         truth = self._backend.truth()
         odometry, battery_v = self._check_base()
+        turn.odometry = odometry
         frame = self._backend.camera.read()
         turn.mark()
         problem = self._guard.frame_problem(frame, self._backend.clock.now())
@@ -241,12 +243,14 @@ class _Turn(Watch):
     """
 
     pipeline: Pipeline
+    odometry: Odometry
 
     def __init__(
         self, loop: Loop, guard: Guard, backend: Backend, timer: Callable[[], float]
     ) -> None:
         self._loop, self._guard, self._backend = loop, guard, backend
         self._timer = timer
+        self._motion = ImageMotion(backend.camera.model.height)
         self.seconds: list[float] = []
         self._mark = 0.0
 
@@ -271,6 +275,11 @@ class _Turn(Watch):
         if part != "control" and self._guard.expired(self.now()):
             self._loop.send(None)
             self.pipeline.was_stopped("stopped: the command in force was too old")
+
+    def check_motion(self, views: Views) -> None:
+        """Raise StaleFrameError for views that stand still while the robot moves."""
+        if problem := self._motion.judge(views, self.odometry):
+            raise StaleFrameError(problem)
 
     def must_hold(self, estimate: Estimate) -> bool:
         """See `Guard.must_hold`."""

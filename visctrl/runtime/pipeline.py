@@ -109,6 +109,9 @@ class Watch:
     def after(self, part: str) -> None:
         """Hear that a part of the tick is over (see `records.STAGES`)."""
 
+    def check_motion(self, views: Views) -> None:
+        """Raise StaleFrameError for views that cannot be of the present (see `ImageMotion`)."""
+
     def must_hold(self, estimate: Estimate) -> bool:
         """Return whether the robot must stand still for want of features."""
         return estimate.health is Health.LOST
@@ -224,7 +227,9 @@ class Pipeline:
         except Exception as error:
             raise PluginError(who, error) from error
         _check_type(who, views, Views)
-        return sound_views(views)
+        views, refused = sound_views(views)
+        self._watch.check_motion(views)
+        return views, refused
 
     def _locate(self, views: Views, refused: str, dt: float) -> Estimate:
         """Return the estimate; no estimator may guess its way past what had to be refused."""
