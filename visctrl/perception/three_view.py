@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
 from visctrl.geometry.robust.losses import cauchy
-from visctrl.geometry.robust.scale import mad_sd
+from visctrl.geometry.robust.scale import upper_mad_sd
 from visctrl.geometry.two_view.planar import PlanarMotion
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ class ThreeViewMap:
         residual = residual - J @ step
         inliers = _within_gate(residual, variance)
         sure = inliers if inliers.any() else np.ones_like(inliers)
-        spread = mad_sd(residual[sure, 0]) if len(which) else 0.0
+        spread = upper_mad_sd(residual[sure, 0]) if len(which) else 0.0
         return Resection(pose, inliers, spread)
 
     def agree(self, which: Indices, rays: Array, pose: Array, sigma: float) -> Mask:

@@ -11,18 +11,19 @@ Array = NDArray[np.float64]
 MAD_TO_SD = 1.4826
 
 
-def upper_median(values: Array) -> float:
-    """Return the median of values (N,), the upper one of an even number.
-
-    By selection: a tenth of the time of `numpy.median` for a hundred values.
-    """
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle])
-
-
 def mad_sd(residuals: Array) -> float:
     """Return the standard deviation of residuals (N,) about 0 as their MAD tells it.
 
     It stays bounded while fewer than half of them are gross errors.
     """
-    return MAD_TO_SD * upper_median(np.abs(residuals))
+    return MAD_TO_SD * float(np.median(np.abs(residuals)))
+
+
+def upper_mad_sd(residuals: Array) -> float:
+    """Return `mad_sd` by the upper median of an even number, in a tenth of the time.
+
+    For the tick's hundred residuals the two differ by less than the noise; for a dozen they do not.
+    """
+    size, middle = np.abs(residuals), len(residuals) // 2
+    size.partition(middle)
+    return MAD_TO_SD * float(size[middle])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
-from visctrl.geometry.robust.scale import mad_sd
+from visctrl.geometry.robust.scale import upper_mad_sd
 from visctrl.geometry.robust.symmetric import inverse4
 from visctrl.geometry.trifocal.tensor import (
     Linearised,
@@ -122,7 +122,7 @@ class _Weighted(NamedTuple):
 def _weighted(relation: Trilinear, z: Array, sigma: float) -> _Weighted:
     linear = linearised(relation, z)
     residual, jacobian = linear.residual, linear.jacobian(relation)
-    spread = max(sigma, mad_sd(residual))
+    spread = max(sigma, upper_mad_sd(residual))
     weights, pace = _geman_mcclure(residual, spread)
     weighted = jacobian * weights
     information = weighted.dot(jacobian.T)

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from visctrl.geometry.robust.least_squares import Options, Solved, gauss_newton
 from visctrl.geometry.robust.losses import cauchy
-from visctrl.geometry.robust.scale import mad_sd
+from visctrl.geometry.robust.scale import upper_mad_sd
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -261,7 +261,7 @@ def _normal_equations(
     scale += seen.spread
     rows *= 1.0 / np.sqrt(scale)
     residual = rows[3]
-    spread = max(sigma, mad_sd(residual))
+    spread = max(sigma, upper_mad_sd(residual))
     scaled = residual * (1.0 / (_KERNEL_SIGMAS * spread))
     scaled *= scaled
     weighted = rows * cauchy(scaled)
