@@ -66,6 +66,12 @@ class Line:
         self.url = url
         self.down, self.up = bytearray(), bytearray()  # to the robot, to the client
         self.open = False
+        #: Rate of the robot's end; at any other only noise passes. None: all rates will do.
+        self.baud: int | None = None
+        self.client_baud = 9600
+        self._written = 0
+        #: Rates at which the line passes but every fourth packet.
+        self.too_fast: frozenset[int] = frozenset()
         #: What becomes of what a client writes, packet by packet.
         self.spoil: Callable[[bytes], bytes] = lambda data: data
         self.hung_up = False
@@ -79,6 +85,16 @@ class Line:
         self.open = True
         self.up.clear()
         return Client(self, float(str(options["timeout"])))
+
+    def through(self, data: bytes, baud: int) -> bytes:
+        """Return what bytes become on the way between two ends."""
+        if self.baud is None:
+            return data
+        self._written += 1
+        passes = baud not in self.too_fast or self._written % 4 == 0
+        if self.baud == baud and passes:
+            return data
+        return bytes((byte * 37 + 11) & 0xFF for byte in data)
 
     def port(self) -> RobotEnd:
         """Return the robot's end."""
@@ -99,7 +115,12 @@ class RobotEnd(Port):
         return _taken(self._line.down, _CHUNK)
 
     def write(self, data: bytes) -> None:
-        self._line.up += data[: _CHUNK - len(self._line.up)]
+        passed = self._line.through(data, self._line.client_baud)
+        self._line.up += passed[: _CHUNK - len(self._line.up)]
+
+    def set_rate(self, baud: int) -> None:
+        if self._line.baud is not None:
+            self._line.baud = baud
 
     def close(self) -> None:
         self._line.hung_up = True
@@ -127,7 +148,18 @@ class Client:
     def write(self, data: bytes) -> None:
         if self._line.hung_up:
             raise BrokenPipeError(32, "Broken pipe")
-        self._line.down += self._line.spoil(data)
+        self._line.down += self._line.through(self._line.spoil(data), self.baudrate)
+
+    def flush(self) -> None:
+        pass
+
+    @property
+    def baudrate(self) -> int:
+        return self._line.client_baud
+
+    @baudrate.setter
+    def baudrate(self, baud: int) -> None:
+        self._line.client_baud = baud
 
     def reset_input_buffer(self) -> None:
         self._line.up.clear()

@@ -169,8 +169,11 @@ class Emulator:
         before = self._decoder.discarded
         for packet in self._decoder.feed(arrived, t):
             self.traffic.add(self._looked, t, packet)
+            asked = self._firmware.host_baud
             for reply in self._firmware.receive(packet):
                 self._to_client.put(t, reply)
+            if (baud := self._firmware.host_baud) is not None and baud != asked:
+                self._port.set_rate(baud)
         self.traffic.garbage += self._decoder.discarded - before
 
     def _speak(self, t: float) -> None:
@@ -191,6 +194,7 @@ class Emulator:
         conditions.stalled = "stall" in faults
         conditions.bumper = "bumper" in faults
         conditions.e_stop = "estop" in faults
+        conditions.charging = "charging" in faults
         low = "low-battery" in faults
         conditions.battery_v = faults.value("low-battery") if low else _NORMAL_BATTERY_V
         if "reset" in faults and not self._was_reset:

@@ -24,6 +24,7 @@ KINDS: dict[str, float | None] = {
     "stall": None,
     "bumper": None,
     "estop": None,
+    "charging": None,
     "low-battery": 10.5,
     "camera-frozen": None,
     "camera-dropped": None,

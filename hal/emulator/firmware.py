@@ -13,11 +13,18 @@ from visctrl.hal.emulator.drive import Drive, Ramps
 from visctrl.hal.emulator.firmware_profile import FirmwareProfile
 from visctrl.hal.emulator.reporter import Reporter
 from visctrl.hal.emulator.world import OpenSpace, World
-from visctrl.hal.pioneer.commands import Command, Id, decode_command, vel2_wheels
+from visctrl.hal.pioneer.commands import (
+    HOST_BAUD_CODES,
+    Command,
+    Id,
+    decode_command,
+    vel2_wheels,
+)
 from visctrl.hal.pioneer.packet import Packet
 from visctrl.hal.pioneer.reports import Type
 from visctrl.hal.types import STANDSTILL, Pose, Velocity
 
+_RATES = {code: baud for baud, code in HOST_BAUD_CODES.items()}
 #: Step of the motion (s).
 STEP_S = 0.005
 _SAME_INSTANT_S = 1e-9
@@ -29,12 +36,14 @@ class Conditions:
 
     battery_v : voltage. stalled : the wheels are held fast. bumper : a front bumper is pressed.
     e_stop : the emergency stop is pressed, which also switches the motors off.
+    charging : the charger is plugged in.
     """
 
     battery_v: float = 12.8
     stalled: bool = False
     bumper: bool = False
     e_stop: bool = False
+    charging: bool = False
 
 
 class Session(Enum):
@@ -79,6 +88,8 @@ class Firmware:
         self._reporter = Reporter(character, self._world)
         self._expected = Id.PULSE
         self._emergency = False
+        #: Rate of the host's line that a client has asked for (HOSTBAUD); None as delivered.
+        self.host_baud: int | None = None
         self._steps = 0
         self._last_heard = 0.0
         self._next_report = math.inf
@@ -206,6 +217,8 @@ class Firmware:
             case Id.E_STOP:
                 self.drive.rest()
                 self._emergency = True
+            case Id.HOSTBAUD:
+                self.host_baud = _RATES.get(number, self.host_baud)
             case Id.SONAR | Id.ENCODER | Id.IOREQUEST:
                 return self._reporter.subscribe(command.id, number, self.drive)
             case Id.SETA | Id.SETV | Id.SETRA | Id.SETRV:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from visctrl.hal.errors import LinkError
+from visctrl.hal.pioneer.commands import HOST_BAUD_CODES
 
 _CHUNK = 4096
 _OUTPUT_RATE = 5  # place in a terminal's settings
@@ -38,6 +39,10 @@ class Port(ABC):
     def close(self) -> None:
         """Release the port."""
 
+    def set_rate(self, baud: int) -> None:
+        """Change the rate of the robot's end; a port that has none does nothing."""
+        del baud
+
     def lost_client(self) -> bool:
         """Return, once, that the client has hung up; a serial line cannot tell."""
         return False
@@ -58,7 +63,10 @@ class PtyPort(Port):
             import tty
         except ImportError:
             raise LinkError("pseudo-terminals need a POSIX system; use a socket") from None
-        self._rate = None if baud is None else getattr(termios, f"B{baud}")
+        self._rates = {
+            rate: getattr(termios, f"B{rate}") for rate in (baud or 9600, *HOST_BAUD_CODES)
+        }
+        self._rate = None if baud is None else self._rates[baud]
         self._settings: Callable[[int], list[Any]] = termios.tcgetattr
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
@@ -80,6 +88,11 @@ class PtyPort(Port):
         """Send bytes; what exceeds the terminal's buffer is lost, as on a line."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, self._through_line(data))
+
+    def set_rate(self, baud: int) -> None:
+        """Change the rate of the robot's end, if it has one."""
+        if self._rate is not None:
+            self._rate = self._rates[baud]
 
     def close(self) -> None:
         """Close both ends."""

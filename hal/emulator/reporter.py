@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _ONCE = 1
 _DIGITAL_IN = b"\xff\x00\x00\xff"
 _ANALOG_INPUTS = 9
-_NO_CHARGER = 0
+_NO_CHARGER, _BULK_CHARGE = 0, 1
 
 
 class Reporter:
@@ -108,7 +108,7 @@ class Reporter:
             digital_in=0xFF,
             digital_out=0,
             battery_x10=round(conditions.battery_v * 10.0),
-            charge_state=_NO_CHARGER,
+            charge_state=_BULK_CHARGE if conditions.charging else _NO_CHARGER,
             turn_rate=round(math.degrees(drive.velocity.omega) * 10.0),
             fault_flags=0,
         )

@@ -355,6 +355,7 @@ class PioneerBase(Base):
             self.stop()
             self._await_standstill(self._session.telemetry)
             self._send(Command(Id.ENABLE, 0))
+            self._session.restore_baud()
         self._send(Command(Id.CLOSE))
 
     def _await_standstill(self, telemetry: Telemetry) -> None:

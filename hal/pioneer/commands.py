@@ -88,6 +88,9 @@ class Id(IntEnum):
     MAINTENANCE = 255
 
 
+#: Argument of HOSTBAUD for each rate that a controller's host port can take.
+HOST_BAUD_CODES = {9600: 0, 19200: 1, 38400: 2, 57600: 3, 115200: 4}
+
 #: These restart the controller; nothing here ever sends them.
 FORBIDDEN = frozenset({Id.RESET, Id.MAINTENANCE})
 

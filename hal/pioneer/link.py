@@ -22,6 +22,8 @@ from visctrl.hal.pioneer.packet import Packet, StreamDecoder
 SPACING_S = 0.006
 #: After such a pause (s) the firmware may have stopped by itself, with its old set-points kept.
 PAUSE_S = 1.0
+#: What a controller gets to change the rate of its line (s), as the vendor's library gives it.
+_SWITCH_S = 0.01
 #: Longest wait for bytes (s): how late other work of the reading thread can be.
 READ_TIMEOUT_S = 0.02
 # pyserial also counts the time that this process is not scheduled.
@@ -114,6 +116,15 @@ class Link:
                 port.baudrate = self.baud = baud
             port.reset_input_buffer()
         self._decoder = StreamDecoder()
+
+    def switch_baud(self, baud: int, request: Command) -> None:
+        """Ask the robot for another rate of the line, and take it."""
+        self.send(request)
+        # Its last byte must be on the line, and the controller gets a moment to change.
+        with self._guarded() as port:
+            port.flush()
+        self._clock.sleep_until(self._clock.now() + _SWITCH_S)
+        self.set_baud(baud)
 
     def send(self, *commands: Command) -> bool:
         """Send commands, no closer together than the firmware can take them.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from visctrl.hal.errors import BaseFaultError, InputError, LinkError
 from visctrl.hal.interfaces import Clock
-from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.pioneer.commands import HOST_BAUD_CODES, Command, Id
 from visctrl.hal.pioneer.config import Config, decode_config
 from visctrl.hal.pioneer.handshake import Contact, connect
 from visctrl.hal.pioneer.link import Link
@@ -31,6 +31,12 @@ from visctrl.robots import Limits, Robot
 
 _OPEN_TRIES, _FIRST_REPORT_S = 6, 0.4
 _CONTACTS = 3
+#: Value of the parameter AutoBaud that lets a client choose the rate, and how long to listen.
+_AUTO_BAUD, _SWITCHED_S = 2, 0.9
+#: Share of the reports that a line at a new rate must pass.
+_NEARLY_ALL = 0.8
+#: How often the robot is called back from a rate at which it is not heard.
+_RETURNS = 6
 #: Between two attempts to begin anew (s).
 _PAUSE_S = 0.25
 _CONFIG_TRIES, _CONFIG_S = 6, 0.2
@@ -58,6 +64,7 @@ class Session:
         self._bauds = bauds
         self._config: Config | None = None
         self._report_bytes = 0
+        self._found_baud: int | None = None
         self.contact: Contact | None = None
         self.telemetry: Telemetry | None = None
         self.timing = Timing()
@@ -79,6 +86,8 @@ class Session:
         """
         telemetry = self._open(any_robot)
         self._configure(telemetry)
+        if not any_robot:
+            self._raise_baud(telemetry)
         self._warn()
         return telemetry
 
@@ -92,6 +101,8 @@ class Session:
         """
         telemetry = self.telemetry
         assert telemetry is not None
+        if telemetry.charging:  # some controllers would drive off all the same
+            raise BaseFaultError("the robot is being charged: take it off the charger")
         for _ in range(_ENABLE_TRIES):
             # Again with each attempt: what a damaged command should have set, nobody reports.
             self._link.send(*settings(limits, self._config or Config(), sonar=sonar))
@@ -196,6 +207,67 @@ class Session:
         cycle = self._config.report_cycle if self._config is not None else None
         self.timing = Timing.of(cycle, round_trip)
 
+    def _raise_baud(self, telemetry: Telemetry) -> None:
+        """Take the lowest rate of the line that the reports do not fill.
+
+        Where the robot's parameter AutoBaud allows it, as the vendor's library does. Step by
+        step: a controller at a rate that the line does not pass can hardly be called back.
+
+        Raises
+        ------
+        LinkError
+            The robot is not heard at a new rate, and no longer at the old one.
+        """
+        config, link = self._config, self._link
+        if config is None or link.baud is None or config.auto_baud != _AUTO_BAUD:
+            return
+        found = last = link.baud
+        for baud in (rate for rate in sorted(HOST_BAUD_CODES) if rate > found):
+            if (load := self.load()) is None or not load.heavy:
+                return
+            link.switch_baud(baud, _host_baud(baud))
+            if not self._carries(telemetry):
+                if not self._called_back(last, baud, telemetry):
+                    raise LinkError(
+                        f"port {link.url}: the robot no longer answers after a change to {baud} "
+                        "baud: restart it, and set its parameter AutoBaud to 0"
+                    )
+                return
+            last, self._found_baud = baud, found
+            _log.info("the line now runs at %d baud", baud)
+
+    def _called_back(self, last: int, tried: int, telemetry: Telemetry) -> bool:
+        """Bring line and robot back to the last rate; return whether it is heard there."""
+        for _ in range(_RETURNS):
+            self._link.set_baud(last)  # the robot may not have heard of the new one
+            if self._hears(telemetry):
+                return True
+            self._link.set_baud(tried)
+            self._link.switch_baud(last, _host_baud(last))
+        return self._hears(telemetry)
+
+    def _carries(self, telemetry: Telemetry) -> bool:
+        """Return whether the line passes nearly all reports at its new rate."""
+        if not self._hears(telemetry):
+            return False
+        heard, cycles = 0, 10
+        for packet in self._link.receive_for(cycles * self.timing.cycle_s):
+            self.take(packet)
+            heard += is_standard_report(packet)
+        return heard >= _NEARLY_ALL * cycles
+
+    def _hears(self, telemetry: Telemetry) -> bool:
+        """Return whether reports come."""
+        before = telemetry.last_report
+        self._link.send(Command(Id.PULSE))
+        return self._wait(_SWITCHED_S, lambda: telemetry.last_report > before)
+
+    def restore_baud(self) -> None:
+        """Leave the line at the rate at which it was found."""
+        if self._found_baud is not None:
+            baud, self._found_baud = self._found_baud, None
+            self._link.switch_baud(baud, _host_baud(baud))
+
     def _warn(self) -> None:
         """Say what is unusual about the line."""
         timing = self.timing
@@ -218,3 +290,7 @@ class Session:
             if done():
                 return True
         return False
+
+
+def _host_baud(baud: int) -> Command:
+    return Command(Id.HOSTBAUD, HOST_BAUD_CODES[baud])

@@ -22,6 +22,8 @@ _LOW_BATTERY_V = 11.0
 _STANDING_MM_S = 5
 _BUMPERS = 0xFE
 _STALLED = 0x01
+#: Charge states of a robot on its charger: bulk, overcharge, float, balance.
+_CHARGING = frozenset({1, 2, 3, 4})
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,11 @@ class Telemetry:
         return bool(self._flags & Flags.MOTORS)
 
     @property
+    def charging(self) -> bool:
+        """Whether the last report says that the robot is on its charger."""
+        return self._last is not None and self._last.tail.charge_state in _CHARGING
+
+    @property
     def standing(self) -> bool:
         """Whether the last report shows both wheels at rest."""
         if self._last is None:
@@ -129,6 +136,8 @@ class Telemetry:
             found.append("the stop button has stalled the motors")
         elif self._motors_expected and not self.motors_on and not found:
             found.append("the motors have been switched off on the robot")
+        if self.charging:
+            found.append("the robot is being charged: take it off the charger")
         sides = (("left", motion.rear), ("right", motion.front))
         found += [f"the {name} wheel is stalled" for name, bits in sides if bits & _STALLED]
         bumpers = (("front", motion.front), ("rear", motion.rear))

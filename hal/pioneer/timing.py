@@ -79,4 +79,7 @@ class LineLoad:
         )
         if not self.heavy:
             return text
-        return f"{text}: the line is full, reports come late; set the robot's HostBaud higher"
+        return (
+            f"{text}: the line is full, reports come late; set the robot's parameter HostBaud "
+            "higher, or AutoBaud to 2"
+        )

@@ -144,6 +144,7 @@ CASES = (
     Case("stall", None, DRIVER_S, "the left wheel is stalled"),
     Case("bumper", None, DRIVER_S, "a front bumper is pressed"),
     Case("estop", None, DRIVER_S, "the emergency stop is pressed"),
+    Case("charging", None, DRIVER_S, "take it off the charger"),
     Case("low-battery", 10.5, DRIVER_S, "the battery is low: 10.5 V"),
     Case("camera-frozen", None, DRIVER_S, "the camera has frozen"),
     Case("camera-dropped", None, DRIVER_S, "the stream has dropped"),

@@ -45,6 +45,7 @@ CASES = (
     Case("stall", None, DRIVER_LIMIT_S, BaseFaultError, "wheel is stalled"),
     Case("bumper", None, DRIVER_LIMIT_S, BaseFaultError, "front bumper is pressed"),
     Case("estop", None, DRIVER_LIMIT_S, BaseFaultError, "emergency stop is pressed"),
+    Case("charging", None, DRIVER_LIMIT_S, BaseFaultError, "take it off the charger"),
     Case("low-battery", 10.5, DRIVER_LIMIT_S, BaseFaultError, "10.5 V"),
 )
 
@@ -159,13 +160,15 @@ def test_fault_holds_the_robot_until_it_is_over(bench: MakeBench) -> None:
         base.close()
 
 
-def test_motors_that_cannot_be_enabled(bench: MakeBench) -> None:
+@pytest.mark.parametrize(("kind", "says"), [("estop", "emergency stop"), ("charging", "charger")])
+def test_motors_that_cannot_be_enabled(bench: MakeBench, kind: str, says: str) -> None:
     it = bench()
-    it.robot.faults.switch_on("estop")
+    it.robot.faults.switch_on(kind)
     base = it.base()
-    with pytest.raises(BaseFaultError, match="emergency stop"):
+    with pytest.raises(BaseFaultError, match=says):
         base.open()
     base.close()
+    assert not it.robot.motors
 
 
 def test_robot_is_switched_off(bench: MakeBench) -> None:

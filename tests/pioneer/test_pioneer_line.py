@@ -159,6 +159,50 @@ def test_what_a_line_can_carry(bench: MakeBench, caplog: pytest.LogCaptureFixtur
     assert base.line_load is None
 
 
+def full_line(it: Any, auto_baud: int = 2, cycle_ms: int = 40) -> Any:
+    """Let the robot's end have a rate, and reports that fill it."""
+    firmware = it.robot._firmware
+    config = replace(firmware.character.config, auto_baud=auto_baud, report_cycle=cycle_ms)
+    firmware.character = replace(firmware.character, config=config)
+    line = it.site.line(it.robot)
+    line.baud = 9600
+    return line
+
+
+@pytest.mark.parametrize(("cycle_ms", "rate"), [(40, 19200), (20, 38400), (10, 115200)])
+def test_a_full_line_is_made_as_fast_as_it_must_be(
+    bench: MakeBench, cycle_ms: int, rate: int
+) -> None:
+    it = bench()
+    line = full_line(it, cycle_ms=cycle_ms)
+    base = it.base()
+    base.open()
+    try:
+        assert (line.baud, line.client_baud) == (rate, rate)
+        it.get_up_to(base, Velocity(0.4, 0.0))
+    finally:
+        base.close()
+    assert (line.baud, line.client_baud) == (9600, 9600), "left as it was found"
+    it.standstill_after(0.2)
+    it.next_run_works()
+
+
+@pytest.mark.parametrize("too_fast", [False, True])
+def test_a_full_line_that_cannot_be_faster(
+    bench: MakeBench, caplog: pytest.LogCaptureFixture, too_fast: bool
+) -> None:
+    """Because the robot's parameter forbids it, or because the line does not pass more."""
+    it = bench()
+    line = full_line(it, auto_baud=2 if too_fast else 0)
+    line.too_fast = frozenset({19200} if too_fast else ())
+    base = it.base()
+    with caplog.at_level(logging.WARNING):
+        base.open()
+    base.close()
+    assert line.baud == 9600
+    assert "the line is full" in caplog.text
+
+
 # --- reconnecting within a run ---------------------------------------------------------------
 
 

@@ -29,7 +29,7 @@ FaultOption = Annotated[
         metavar="KIND[=VALUE][@START[+LENGTH]]",
         help="What goes wrong, when (s after the first motion), for how long; may be repeated. "
         "Kinds: lost, corrupt, delay, silent, deaf, rubbish, reset, stall, bumper, estop, "
-        "low-battery, camera-frozen, camera-dropped.",
+        "charging, low-battery, camera-frozen, camera-dropped.",
     ),
 ]
 
