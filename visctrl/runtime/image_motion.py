@@ -38,8 +38,9 @@ _TURN, _SIGMAS, _WAY_M = math.radians(1.5), 8.0, 0.04
 #: A ray that has moved by less than this share of a turn has stayed.
 _STAYED = 0.3
 #: A band's median ray on a straight way: from so many standard deviations on its motion is
-#: judged (that of a picture that stands still is 1.7, by noise); under this share it has stayed.
-_WAY_SIGMAS, _WAY_STAYED = 5.0, 0.4
+#: judged (that of a picture that stands still is 1.7, by noise); under this share it has stayed,
+#: if it is no more than the noise can be.
+_WAY_SIGMAS, _WAY_STAYED, _NOISE_SIGMAS = 5.0, 0.4, 3.0
 #: So large a share of a band's rays must have stayed when the robot turned.
 _MOST = 0.6
 #: Bands of image rows, and how few features tell something about one.
@@ -154,7 +155,8 @@ class ImageMotion:
             moved = _moved(then, now, bands)
             for band in due:
                 here = moved[band]
-                if len(here) >= _LEAST and np.median(here) < _WAY_STAYED * rates[band] * way:
+                most = min(_WAY_STAYED * rates[band] * way, _NOISE_SIGMAS * sigma)
+                if len(here) >= _LEAST and np.median(here) < most:
                     return (
                         f"the camera shows the past: the robot has driven {way:.2f} m in "
                         f"{now.stamp - then.stamp:.1f} s, and the picture, or part of it, has not "
