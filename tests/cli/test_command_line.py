@@ -165,7 +165,16 @@ def test_plugin_faults_are_told_without_a_traceback(visctrl: Call, tmp_path: Pat
     assert "toy_plugins.py" in (tmp_path / "o" / "fault.txt").read_text()
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        (signal.SIGINT, 130),
+        (signal.SIGTERM, 143),
+        (signal.SIGHUP, 129),
+        (signal.SIGQUIT, 131),
+        (signal.SIGTSTP, 148),
+    ],
+)
 def test_signals_end_a_run_in_good_order(
     environment: dict[str, str], tmp_path: Path, number: signal.Signals, code: int
 ) -> None:

@@ -102,7 +102,7 @@ def emulate(wanted: Emulation) -> int:
     axle = Pose(*step_exact(wanted.start, -mount.forward_m, 0.0, 1.0).tolist())
     make_port = _port(wanted.port)
     firmware = Firmware(its, axle, SceneWorld(scene, robot), Velocity(*wanted.slip))
-    with Interrupts() as interrupts, ExitStack() as stack:
+    with Interrupts(suspendable=True) as interrupts, ExitStack() as stack:
         camera = None
         if wanted.camera is not None:
             camera = stack.enter_context(_camera(wanted, wanted.camera, mount, axle))

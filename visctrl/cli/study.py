@@ -72,7 +72,7 @@ def _run(
     """Run what is left; return the table, and the signal that ended it early."""
     died: dict[int, Row] = {}
     interruption = None
-    with Interrupts() as interrupts:
+    with Interrupts(suspendable=True) as interrupts:
         try:
             died = run_study(loaded, log, place, interrupts, progress.ran(loaded.study.count))
         except Interrupted as raised:

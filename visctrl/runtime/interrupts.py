@@ -1,13 +1,16 @@
-"""SIGINT and SIGTERM, let through at once except where something must not be cut in two."""
+"""Signals that end a run, let through at once except where something must not be cut in two."""
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 _EXIT_BASE = 128
+#: Ctrl-C, a supervisor's wish, a lost terminal, Ctrl-\\, Ctrl-Z; as far as the system has them.
+_ENDING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 
 
 class Interrupted(KeyboardInterrupt):
@@ -24,14 +27,19 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Interrupts:
-    """Turns both signals into `Interrupted` while it is entered as a context.
+    """Turns the signals that end a run into `Interrupted` while it is entered as a context.
+
+    A suspended process looks after no robot, so Ctrl-Z ends a run, too, unless it is
+    ``suspendable`` (nothing moves while its time stands still). A lost terminal that is to be
+    ignored (``nohup``) is ignored.
 
     ``with interrupts.shield:`` holds them back: a command to the base is finished first. After
     the first one, or after `ignore`, further ones change nothing: the end is under way.
     Outside the main thread, which alone gets signals, it does nothing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, suspendable: bool = False) -> None:
+        self.suspendable = suspendable
         self.shield = _Shield(self)
         self._depth = 0
         self._pending: int | None = None
@@ -40,8 +48,9 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._previous[number] = signal.signal(number, self._handle)
+            for number in ending_signals():
+                if signal.getsignal(number) != signal.SIG_IGN:
+                    self._previous[number] = signal.signal(number, self._handle)
         return self
 
     def __exit__(
@@ -60,6 +69,9 @@ class Interrupts:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         del frame
+        if number == getattr(signal, "SIGTSTP", None) and self.suspendable:
+            os.kill(os.getpid(), signal.SIGSTOP)
+            return
         if self._over:
             return
         if self._depth == 0:
@@ -75,6 +87,11 @@ class Interrupts:
         if self._depth == 0 and self._pending is not None and not failing:
             self._over = True
             raise Interrupted(self._pending)
+
+
+def ending_signals() -> list[signal.Signals]:
+    """Return the signals that end a run, as far as the system has them."""
+    return [signal.Signals[name] for name in _ENDING if name in signal.Signals.__members__]
 
 
 class _Shield:

@@ -149,6 +149,7 @@ class _Session:
 
     def _conduct(self, backend: Backend) -> End:
         """Run every stage; return how it ended, with the robot told to stand still."""
+        self._interrupts.suspendable = backend.clock.lockstep
         try:
             end = self._stages(backend)
         except BaseException as error:
