@@ -29,7 +29,7 @@ from visctrl.robots.unicycle import wrapped
 Array = NDArray[np.float64]
 
 #: Longest time that is looked back (s), at most so many frames.
-_WINDOW_S, _FRAMES = 1.5, 20
+_WINDOW_S, _RECENT_S, _FRAMES = 1.5, 0.4, 20
 #: The image may lag behind its stamp by as much as this (s): motion counts that it must show
 #: whatever its lag.
 _LAGS_S = (0.0, 0.1, 0.2)
@@ -40,7 +40,9 @@ _STAYED = 0.3
 #: A band's median ray on a straight way: from so many standard deviations on its motion is
 #: judged (that of a picture that stands still is 1.7, by noise); under this share it has stayed,
 #: if it is no more than the noise can be.
-_WAY_SIGMAS, _WAY_STAYED, _NOISE_SIGMAS = 5.0, 0.4, 3.0
+_WAY_SIGMAS, _WAY_STAYED, _NOISE_SIGMAS = 8.0, 0.3, 2.5
+#: Motion that is learnt from stands out of the noise by so much (standard deviations).
+_LEARN_SIGMAS = 5.0
 #: So large a share of a band's rays must have stayed when the robot turned.
 _MOST = 0.6
 #: Bands of image rows, and how few features tell something about one.
@@ -146,7 +148,11 @@ class ImageMotion:
     def _driven(self, now: _Seen, sigma: float, bands: NDArray[np.int64]) -> str:
         """Compare, band by band, with the newest frame since which the rays must have moved."""
         straight = [(then, way) for then in reversed(self._seen) if (way := _straight(then, now))]
-        rates = [self._rates[band].at(now.stamp - _WINDOW_S) for band in range(_BANDS)]
+        # What was known before the window; what is known since counts where things get far away.
+        rates = [
+            min(rate.at(now.stamp - _WINDOW_S), rate.at(now.stamp - _RECENT_S))
+            for rate in self._rates
+        ]
         left = {band for band in range(_BANDS) if rates[band] > 0.0}
         for then, way in straight:
             due = {band for band in left if rates[band] * way > _WAY_SIGMAS * sigma}
@@ -169,7 +175,7 @@ class ImageMotion:
                 if len(here) >= _LEAST:
                     middle = float(np.median(here))
                     # What does not stand out of the noise says that things are far away.
-                    rate.learn(now.stamp, middle / way if middle > _WAY_SIGMAS * sigma else 0.0)
+                    rate.learn(now.stamp, middle / way if middle > _LEARN_SIGMAS * sigma else 0.0)
         return ""
 
 
