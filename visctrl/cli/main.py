@@ -283,10 +283,14 @@ def reproduce_command(
     workers: Annotated[
         int | None, typer.Option(metavar="N", min=1, help="Processes; one a core if left out.")
     ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write all that was run into --out as one page."),
+    ] = None,
 ) -> None:
     """Run published tables and figures again and compare.
 
-    Exit code 0 only if every row is at least as good as the published one.
+    Exit code 0 only if no judged row falls short of the published one.
     """
     if show_list:
         from visctrl.cli.reproduce import show_entries
@@ -296,7 +300,7 @@ def reproduce_command(
     _begin_workers()
     from visctrl.cli.reproduce import reproduce
 
-    raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json))
+    raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json, record=record))
 
 
 @app.command("observability")

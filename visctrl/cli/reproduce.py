@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from visctrl.reproduce.catalogue import ENTRIES, Entry, entries_named
 from visctrl.reproduce.entry import Bench, Row
+from visctrl.reproduce.record import keep, page
+from visctrl.robots.files import write_text
 from visctrl.study.workers import default_workers
 
 
@@ -23,8 +27,15 @@ def show_entries() -> None:
     Console().print(table)
 
 
-def reproduce(names: list[str], out: Path, workers: int | None, *, as_json: bool) -> int:
-    """Run entries; return 0 if every row is at least as good as published, else 1.
+def reproduce(
+    names: list[str], out: Path, workers: int | None, *, as_json: bool, record: Path | None = None
+) -> int:
+    """Run entries; return 0 if no judged row falls short, else 1.
+
+    Parameters
+    ----------
+    record : Path or None
+        Also write the page of everything that has been run into ``out``, now or earlier.
 
     Raises
     ------
@@ -43,17 +54,21 @@ def reproduce(names: list[str], out: Path, workers: int | None, *, as_json: bool
     with bar:
         whole = bar.add_task("entries", total=len(chosen))
         for entry in chosen:
+            began = time.perf_counter()
             rows = _run(entry, out, workers or default_workers(), bar)
             bar.advance(whole)
-            results.append(
-                {
-                    "name": entry.name,
-                    "ok": all(row.ok for row in rows),
-                    "rows": [row.as_dict() for row in rows],
-                }
-            )
+            result = {
+                "name": entry.name,
+                "ok": not any(row.ok is False for row in rows),
+                "seconds": time.perf_counter() - began,
+                "rows": [row.as_dict() for row in rows],
+            }
+            keep(out / entry.name, result)
+            results.append(result)
             if not as_json:
                 _show(entry, rows, out)
+    if record is not None:
+        write_text(record, page(out))
     if as_json:
         print(json.dumps(results, indent=2))
     return 0 if all(result["ok"] for result in results) else 1
@@ -71,23 +86,20 @@ def _run(entry: Entry, out: Path, workers: int, bar: Progress) -> list[Row]:
 
 
 def _show(entry: Entry, rows: list[Row], out: Path) -> None:
-    """Print an entry's rows: published, ours, the difference in magnitude, the verdict."""
-    table = Table("case", "quantity", "published", "ours", "difference", "", title=entry.title)
+    """Print an entry's rows: published, our bound, the source's law, ours, the verdict."""
+    columns = ("case", "quantity", "published", "own bound", "source's law", "ours", "")
+    table = Table(*columns, title=entry.title)
     for row in rows:
-        verdict = "ok" if row.ok else "[bold red]worse[/bold red]"
-        if row.ok and not row.published:
-            verdict = "shown"
-        for key, ours in row.ours.items():
-            published = row.published.get(key)
-            known = published is not None
-            table.add_row(
-                row.case,
-                key,
-                f"{published:g}" if known else "",
-                f"{ours:.3g}",
-                f"{abs(ours) - abs(published):+.3g}" if published is not None else "",
-                verdict,
-            )
+        case = f"{row.case}\n  told {' '.join(row.told)}" if row.told else row.case
+        verdict = _VERDICTS[row.ok]
+        for key in dict.fromkeys((*row.published, *row.source, *row.ours)):
+            numbers = (row.published, row.bound, row.source, row.ours)
+            cells = (f"{n[key]:.3g}" if key in n else "" for n in numbers)
+            table.add_row(escape(case), key, *cells, verdict)
+            case = verdict = ""
     console = Console()
     console.print(table)
     console.print(f"files: {out / entry.name}", highlight=False)
+
+
+_VERDICTS = {True: "ok", False: "[bold red]worse[/bold red]", None: "shown"}

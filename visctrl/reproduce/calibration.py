@@ -14,7 +14,7 @@ from visctrl.calibration.edges import Segments, find_segments
 from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
-from visctrl.reproduce.entry import Bench, Row, at_most
+from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.sim.render.board_images import hold, photographed
 from visctrl.sim.render.renderer import BulletRenderer
 from visctrl.sim.world.scene import load_scene
@@ -67,7 +67,7 @@ def cameras(bench: Bench) -> list[Row]:
             "images": float(len(sights)),
         }
         bounds = {"K_percent": _K_PERCENT, "ray_deg": _RAY_DEG}
-        rows.append(at_most(f"{name}, {board.kind}", bounds, ours))
+        rows.append(within(f"{name}, {board.kind}", bounds, ours))
     bench.announce(len(_BOARDS), len(_BOARDS))
     return rows
 
@@ -83,7 +83,7 @@ def centres(bench: Bench) -> list[Row]:
         point = find_centre(segments, (camera.width, camera.height), seed=0).point
         ours = {"x_px": abs(point[0] - cx), "y_px": abs(point[1] - cy)}
         bounds = {"x_px": _CENTRE_PX, "y_px": _CENTRE_PX}
-        rows.append(at_most(f"{name} {camera.width}x{camera.height}", bounds, ours))
+        rows.append(within(f"{name} {camera.width}x{camera.height}", bounds, ours))
     bench.announce(len(_CENTRES), len(_CENTRES))
     return rows
 

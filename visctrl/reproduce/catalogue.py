@@ -97,6 +97,11 @@ _ENTRIES = (
         "visctrl.reproduce.chapter3:table_3_1",
     ),
     Entry(
+        "phi-1",
+        "trifocal control told any φ1 from -30 to 30 deg, every law (bound is the project's own)",
+        "visctrl.reproduce.chapter3:figure_phi_1",
+    ),
+    Entry(
         "fig-3.3",
         "trifocal control: paths, states, tensor elements and inputs of the four starts",
         "visctrl.reproduce.chapter3:figure_3_3",
@@ -133,7 +138,7 @@ _ENTRIES = (
     ),
     Entry(
         "table-4.1",
-        "pose filters, 100 runs a row: the source's, and the consistent one",
+        "the consistent pose filter, 100 runs a row, and the source's beside it",
         "visctrl.reproduce.chapter4:table_4_1",
     ),
     Entry(
@@ -143,7 +148,7 @@ _ENTRIES = (
     ),
     Entry(
         "fig-4.3",
-        "pose scheme with a tilted or off-centre camera, 50 runs each",
+        "pose scheme with a tilted camera or a displaced centre, 50 runs each",
         "visctrl.reproduce.chapter4_figures:figure_4_3",
     ),
     Entry(

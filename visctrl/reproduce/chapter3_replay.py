@@ -78,8 +78,9 @@ def _row(element: str, pair: str, sift: Array, tracked: Array) -> Row:
         "jumps_sift": _jumps(sift[:, i]),
         "jumps_lk": _jumps(tracked[:, i]),
     }
+    bound = {"variance_lk": ours["variance_sift"], "jumps_lk": ours["jumps_sift"]}
     more = ours["variance_sift"] > ours["variance_lk"] and ours["jumps_sift"] > ours["jumps_lk"]
-    return Row(f"{element}, {pair}", {}, ours, more)
+    return Row(f"{element}, {pair}", ours, bound=bound, ok=more)
 
 
 def _replay(recording: Path, settings: tuple[str, ...], out: Path) -> None:

@@ -21,13 +21,18 @@ Array = NDArray[np.float64]
 
 #: Columns of a trace, from the first pose on.
 COLUMNS = ("t", "x_error", "y_error", "phi_error", "x_sd", "y_sd", "phi_sd", "nees", "nis", "dof")
-#: What is executed scatters by so much about what is commanded; the filters are told.
+#: What is executed scatters by so much about what is commanded: what the filters count on.
 SCATTER_V_M_S, SCATTER_OMEGA_DEG_S = 0.002, 0.1
 _NOISE = (
-    *("mock.noise_px=1.0", "perception.noise_px=1.0"),
+    "mock.noise_px=1.0",
     *(f"mock.scatter.v_m_s={SCATTER_V_M_S}", f"mock.scatter.omega_deg_s={SCATTER_OMEGA_DEG_S}"),
-    f"estimator.noise={{v_m_s: {SCATTER_V_M_S}, omega_deg_s: {SCATTER_OMEGA_DEG_S}}}",
 )
+#: What a filter may be told of the noise in its images.
+NOISE_TOLD = "perception.noise_px=1.0"
+#: The source's period, Ts = 0.5 s.
+RATE = "rate_hz=2"
+#: Keys of the controller that the source states.
+STATED = ("controller.tau_s",)
 
 
 def simulated(start: Start, *settings: str, tau_s: float = 100.0) -> tuple[str, ...]:

@@ -11,26 +11,39 @@ from visctrl.reproduce.recorded_run import drive
 from visctrl.study.batch import run_all
 from visctrl.study.run_spec import RunSpec
 
+Numbers = Mapping[str, float]
+
 
 @dataclass(frozen=True)
 class Row:
-    """One case: the published numbers, ours, and whether ours are at least as good.
+    """One case: what the source reports, what its law gives here, what ours gives, the verdict.
 
-    A key says its unit, and means the same in both mappings. ``published`` may hold a bound
-    that the project sets itself where the source gives no number; the entry's title says so.
+    A key says its unit and means the same in every mapping.
+
+    published : the source's numbers.
+    source : those of the source's law (or filter), run here.
+    bound : what ours is judged by where the source has no number: the project's own.
+    told : settings that a user would have to make and the source does not state.
+    ok : None where nothing is judged.
     """
 
     case: str
-    published: Mapping[str, float]
-    ours: Mapping[str, float]
-    ok: bool
+    ours: Numbers
+    published: Numbers = field(default_factory=dict)
+    source: Numbers = field(default_factory=dict)
+    bound: Numbers = field(default_factory=dict)
+    told: tuple[str, ...] = ()
+    ok: bool | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row as ``--json`` prints it."""
         return {
             "case": self.case,
             "published": dict(self.published),
+            "source": dict(self.source),
             "ours": dict(self.ours),
+            "bound": dict(self.bound),
+            "told": list(self.told),
             "ok": self.ok,
         }
 
@@ -63,13 +76,63 @@ class Bench:
         return run_all(runs, self.workers, count, work)
 
 
-def at_most(case: str, published: Mapping[str, float], ours: Mapping[str, float]) -> Row:
-    """Return a row that is ok if no magnitude of ours exceeds the published one's."""
-    ok = all(abs(ours[key]) <= abs(bound) for key, bound in published.items())
-    return Row(case, published, ours, ok)
+#: Sections of a scenario that say what the robot believes and does; all others are the task.
+_BELIEFS = ("perception", "estimator", "controller", "approach", "safety", "target", "obstacles")
 
 
-def at_least(case: str, published: Mapping[str, float], ours: Mapping[str, float]) -> Row:
-    """Return a row that is ok if every magnitude of ours reaches the published one's."""
-    ok = all(abs(ours[key]) >= abs(bound) for key, bound in published.items())
-    return Row(case, published, ours, ok)
+def told(run: RunSpec, stated: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the settings of a run that are neither its task nor stated by the source.
+
+    Parameters
+    ----------
+    run : RunSpec
+    stated : sequence of str
+        Keys that the source states, as ``controller.tau_s``.
+    """
+    return tuple(
+        text
+        for text in run.settings
+        if text.partition(".")[0].partition("=")[0] in _BELIEFS
+        and text.partition("=")[0] not in stated
+    )
+
+
+def against_source(
+    case: str,
+    published: Numbers,
+    ours: Numbers,
+    *,
+    resolution: Numbers | None = None,
+    source: Numbers | None = None,
+    told: tuple[str, ...] = (),
+) -> Row:
+    """Return a row that is ok if no magnitude of ours exceeds the published one's.
+
+    Parameters
+    ----------
+    resolution : mapping or None
+        What the source prints as 0 is anything up to this.
+    """
+    finest = resolution or {}
+    ok = all(abs(ours[k]) <= max(abs(v), finest.get(k, 0.0)) for k, v in published.items())
+    return Row(case, ours, published, source or {}, told=told, ok=ok)
+
+
+def within(
+    case: str,
+    bound: Numbers,
+    ours: Numbers,
+    *,
+    published: Numbers | None = None,
+    source: Numbers | None = None,
+    told: tuple[str, ...] = (),
+) -> Row:
+    """Return a row that is ok if no magnitude of ours exceeds the project's own bound."""
+    ok = all(abs(ours[key]) <= abs(value) for key, value in bound.items())
+    return Row(case, ours, published or {}, source or {}, bound, told, ok)
+
+
+def at_least(case: str, bound: Numbers, ours: Numbers) -> Row:
+    """Return a row that is ok if every magnitude of ours reaches the project's own bound."""
+    ok = all(abs(ours[key]) >= abs(value) for key, value in bound.items())
+    return Row(case, ours, bound=bound, ok=ok)

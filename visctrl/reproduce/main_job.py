@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from visctrl.reproduce.entry import Bench, Row, at_most
+from visctrl.reproduce.entry import Bench, Row, at_least, within
 from visctrl.study.run_spec import RunSpec
 
 SCENARIO = "default"
@@ -54,14 +54,14 @@ def starts(bench: Bench) -> list[Row]:
     broken = sum(s["status"] == "fault" for s in summaries)
     share = 100.0 * sum(near) / len(near)
     return [
-        Row("within 2 cm and 1 deg", {"share_pct": 95.0}, {"share_pct": share}, share >= 95.0),
-        at_most(
+        at_least("within 2 cm and 1 deg", {"share_pct": 95.0}, {"share_pct": share}),
+        within(
             "median error",
             {"position_cm": 0.5, "phi_deg": 0.3},
             {"position_cm": position, "phi_deg": heading},
         ),
-        at_most("runs that touched something", {"runs": 0}, {"runs": touched}),
-        at_most("runs that ended in a fault", {"runs": 0}, {"runs": broken}),
+        within("runs that touched something", {"runs": 0}, {"runs": touched}),
+        within("runs that ended in a fault", {"runs": 0}, {"runs": broken}),
     ]
 
 
@@ -75,7 +75,7 @@ def cameras(bench: Bench) -> list[Row]:
     cases = [f"{robot} {camera} {start}" for robot, camera, start in CAMERA_STARTS]
     _write_tables(bench, cases, summaries)
     return [
-        at_most(
+        within(
             case,
             {"position_cm": 2.0, "phi_deg": 1.0},
             dict(zip(("position_cm", "phi_deg"), _error(summary), strict=True)),
