@@ -76,7 +76,7 @@ def table_2_1(bench: Bench) -> list[Row]:
             start_name(start),
             named(*published),
             errors(smooth),
-            resolution={"x_cm": X_RESOLUTION_CM},
+            resolution=named(X_RESOLUTION_CM, 0.005, 0.005),
             source=errors(theirs),
         )
         for (start, published), smooth, theirs in zip(

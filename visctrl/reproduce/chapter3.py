@@ -33,7 +33,7 @@ TABLE_3_1: tuple[tuple[Start, Errors, Errors], ...] = (
     ((0.0, -8.0, 0.0), (0.0, 0.11, 0.0), (0.0, 0.11, 0.0)),
     ((1.0, -14.0, -6.0), (0.91, 0.47, 0.08), (0.98, 0.25, 0.07)),
 )
-#: The table prints two digits after the point: a published 0 is anything that rounds to it.
+#: Half of the last digit that the table prints.
 RESOLUTION = 0.005
 #: Mean squared error with which the outputs follow their references, as published.
 TRACKING = 1e-5

@@ -111,10 +111,10 @@ def against_source(
     Parameters
     ----------
     resolution : mapping or None
-        What the source prints as 0 is anything up to this.
+        Half the last digit that the source prints: its 0.01 may be anything up to 0.015.
     """
     finest = resolution or {}
-    ok = all(abs(ours[k]) <= max(abs(v), finest.get(k, 0.0)) for k, v in published.items())
+    ok = all(abs(ours[k]) <= abs(v) + finest.get(k, 0.0) for k, v in published.items())
     return Row(case, ours, published, source or {}, told=told, ok=ok)
 
 
