@@ -18,7 +18,7 @@ import numpy as np
 from visctrl.contracts import MatchedMotion, Perception
 from visctrl.hal.types import Frame, Pose
 from visctrl.perception.ambiguity import AmbiguousMatchError
-from visctrl.reproduce.entry import Bench, Row, at_most
+from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.robots.errors import InputError
 from visctrl.robots.unicycle import wrap_angle
 from visctrl.study.run_spec import RunSpec
@@ -86,7 +86,7 @@ def matches(bench: Bench) -> list[Row]:
     found = [p for p in pairs if p["kind"] == "well posed" and p["outcome"] != NOT_RECOGNISED]
     needless = sum(p["outcome"] == NEEDLESS for p in found)
     share = {"share_pct": 100.0 * needless / max(len(found), 1)}
-    return [*rows, at_most("needless refusals, well posed", {"share_pct": 2.0}, share)]
+    return [*rows, within("needless refusals, well posed", {"share_pct": 2.0}, share)]
 
 
 def match_world(run: RunSpec) -> dict[str, Any]:
@@ -188,7 +188,7 @@ def _row(case: str, pairs: Sequence[Mapping[str, Any]]) -> Row:
         "refused, would be right": float(counted[NEEDLESS]),
         "not recognised": float(counted[NOT_RECOGNISED]),
     }
-    return Row(case, {"wrong": 0.0}, ours, counted[WRONG] == 0)
+    return within(case, {"wrong": 0.0}, ours)
 
 
 def _write(bench: Bench, pairs: Sequence[Mapping[str, Any]]) -> None:
