@@ -241,4 +241,5 @@ def _row(name: str, cases: list[dict[str, Any]]) -> Row:
         "undecided": float(undecided),
     }
     bounds = {"inside_2sd_percent": 90.0, "withheld": 0.0, "false_success": 0.0}
-    return Row(name, bounds, ours, 90.0 <= share <= 98.0 and not withheld and not false)
+    honest = 90.0 <= share <= 98.0 and not withheld and not false
+    return Row(name, ours, bound=bounds, ok=honest)
