@@ -11,7 +11,15 @@ import typer
 from visctrl.cli.ending import Program, run_program
 from visctrl.cli.hardware import add_hardware_commands
 from visctrl.cli.images import add_image_commands
-from visctrl.cli.options import CameraOption, CamOption, OverwriteOption, SharedOption, finite
+from visctrl.cli.options import (
+    CameraOption,
+    CamOption,
+    OverwriteOption,
+    RecordOption,
+    SharedOption,
+    WorkersOption,
+    finite,
+)
 from visctrl.threads import limit_linear_algebra
 
 _INTERRUPTED = 130
@@ -277,21 +285,11 @@ def reproduce_command(
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="Only list the entries.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for plots and tables.")] = Path(
-        "runs/reproduce"
-    ),
-    workers: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Processes; one a core if left out.")
-    ] = None,
-    record: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write all that was run into --out as one page."),
-    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Results.")] = Path("runs/reproduce"),
+    workers: WorkersOption = None,
+    record: RecordOption = None,
 ) -> None:
-    """Run published tables and figures again and compare.
-
-    Exit code 0 only if no judged row falls short of the published one.
-    """
+    """Run published tables and figures again; exit code 0 only if no judged row falls short."""
     if show_list:
         from visctrl.cli.reproduce import show_entries
 
@@ -366,9 +364,7 @@ def study_command(
         Path | None,
         typer.Option(metavar="DIR", help="Folder of the table; runs/study-NAME if left out."),
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Processes; one a core if left out.")
-    ] = None,
+    workers: WorkersOption = None,
     cluster: Annotated[
         str | None,
         typer.Option(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -26,4 +27,10 @@ OverwriteOption = Annotated[
 ]
 SharedOption = Annotated[
     bool, typer.Option("--shared", help="Let other users of this machine read the files.")
+]
+RecordOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write all that was run into --out as one page.")
+]
+WorkersOption = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="Processes; one a core if left out.")
 ]
