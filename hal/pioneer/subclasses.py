@@ -5,6 +5,7 @@ What is known of each is in its ``robot.yaml`` (section ``arcos``); here it is l
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,6 +20,9 @@ from visctrl.robots.sonar import SonarRing
 #: Heading units to radians. The parameter files print it rounded to 0.00153, which makes an
 #: error of 0.26 %: a turn has exactly 4096 units.
 HEADING_RAD = 2.0 * math.pi / 4096.0
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -52,11 +56,13 @@ def subclasses_of(robot: Robot) -> dict[str, Subclass]:
 @cache
 def known_subclasses() -> dict[str, Subclass]:
     """Return the controllers of all robots that are installed, by name."""
-    return {
-        name: subclass
-        for robot in robot_names()
-        for name, subclass in subclasses_of(load_robot(robot)).items()
-    }
+    found: dict[str, Subclass] = {}
+    for name in robot_names():
+        try:
+            found.update(subclasses_of(load_robot(name)))
+        except InputError as error:  # another package's, which is broken: these here still drive
+            _log.warning("%s", error)
+    return found
 
 
 def find_subclass(name: str, robots: Iterable[Robot] = ()) -> Subclass:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from visctrl.cli.listing import _robot_line
 from visctrl.hal.errors import LinkError
 from visctrl.hal.pioneer.subclasses import find_subclass, known_subclasses, subclasses_of
 from visctrl.robots import load_robot, model, robot_names
@@ -98,6 +99,13 @@ def test_an_installed_package_announces_robots(announced: str) -> None:
     assert load_robot(announced).name == "rover"
     with pytest.raises(InputError, match=r"robot 'ghost': package robots_of_ours\.ghost cannot"):
         load_robot("ghost")
+    known_subclasses.cache_clear()
+    try:
+        assert "p3at-sh" in known_subclasses(), "a broken package hides nobody else's robots"
+    finally:
+        known_subclasses.cache_clear()
+    assert "cannot be used" in _robot_line("ghost")
+    assert _robot_line("p3dx") == "Pioneer P3-DX"
 
 
 @robots

@@ -19,7 +19,7 @@ from rich.table import Table
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.clock import WallClock
 from visctrl.hal.types import Pose
-from visctrl.robots import load_robot
+from visctrl.robots import Robot, load_robot
 from visctrl.robots.errors import VisctrlError
 from visctrl.runtime.config import CameraChoice, Override, load_scenario
 from visctrl.runtime.interrupts import Interrupts
@@ -66,15 +66,18 @@ class Finding:
     remedy: str = ""
 
 
-def examine(port: str | None, source: str | None, camera: CameraChoice, *, quick: bool) -> int:
+def examine(
+    port: str | None, source: str | None, camera: CameraChoice, expected: str, *, quick: bool
+) -> int:
     """Check everything, print a line each, return the exit code (3 if something fails).
 
     Raises
     ------
     InputError
-        There is no such camera to compare with.
+        There is no such camera or robot (``expected``) to compare with.
     """
     chosen_camera(camera)
+    its = load_robot(expected)
     console = Console()
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
         ("packages", packages),
@@ -83,7 +86,7 @@ def examine(port: str | None, source: str | None, camera: CameraChoice, *, quick
         ("serial ports", serial_ports),
     ]
     if port is not None:
-        checks.append((f"robot {port}", lambda: robot(port)))
+        checks.append((f"robot {port}", lambda: robot(port, its)))
     if source is not None:
         checks.append((f"camera {source}", lambda: camera_stream(source, camera)))
     if not quick:
@@ -175,11 +178,13 @@ def serial_ports() -> Iterator[Finding]:
         )
 
 
-def robot(port: str) -> Iterator[Finding]:
-    """Ask the robot who it is and how it is set; it does not move."""
+def robot(port: str, its: Robot) -> Iterator[Finding]:
+    """Ask the robot who it is and how it is set; it does not move.
+
+    ``its`` is the robot whose file is looked at first for the units of what answers.
+    """
     from visctrl.hal.pioneer.base import PioneerBase
 
-    its = load_robot("p3dx")
     base = PioneerBase(port, its, its.operating, WallClock())
     status = base.inspect()
     identity, config = base.identity, base.config

@@ -197,6 +197,9 @@ def drive_command(
 def doctor_command(
     port: PortOption = None,
     camera_url: SourceOption = None,
+    robot: Annotated[
+        str, typer.Option(metavar="NAME", help="The robot's name, or its robot.yaml.")
+    ] = "p3dx",
     camera: CameraOption = None,
     width: Annotated[
         int | None,
@@ -216,7 +219,7 @@ def doctor_command(
     from visctrl.runtime.config import CameraChoice
 
     chosen = CameraChoice(name=camera or "hypercatadioptric", width=width)
-    _finish(lambda: examine(port, camera_url, chosen, quick=quick))
+    _finish(lambda: examine(port, camera_url, chosen, robot, quick=quick))
 
 
 def _finish(work: Callable[[], int]) -> None:

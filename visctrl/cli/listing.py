@@ -10,6 +10,7 @@ from rich.table import Table
 
 from visctrl.hal.cameras.catalogue import camera_names, load_camera
 from visctrl.robots import load_robot, robot_names
+from visctrl.robots.errors import InputError
 from visctrl.runtime.config import (
     Override,
     load_scenario,
@@ -32,7 +33,7 @@ def show_everything() -> None:
     registries = REGISTRIES
     _show(console, "scenarios", ((name, scenario_title(name)) for name in scenario_names()))
     _show(console, "studies", ((name, study_title(name)) for name in study_names()))
-    _show(console, "robots", ((name, load_robot(name).title) for name in robot_names()))
+    _show(console, "robots", ((name, _robot_line(name)) for name in robot_names()))
     _show(console, "cameras", ((name, _camera_line(name)) for name in camera_names()))
     _show(console, "schemes", ((name, scheme.title) for name, scheme in schemes().items()))
     for title, registry in (
@@ -57,6 +58,13 @@ def show_scenario(name: str, overrides: Sequence[Override], *, resolve: bool) ->
     plan = make_plan(loaded)
     data = plan.effective() if resolve else loaded.data
     sys.stdout.write(to_yaml(data))
+
+
+def _robot_line(name: str) -> str:
+    try:
+        return load_robot(name).title
+    except InputError as error:  # of another package, which is broken
+        return f"cannot be used: {error}"
 
 
 def _camera_line(name: str) -> str:
