@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import logging
 import reprlib
 from collections.abc import Iterable, Mapping
 from importlib.resources.abc import Traversable
@@ -17,11 +18,15 @@ from visctrl.robots.errors import InputError
 from visctrl.robots.files import read_text
 from visctrl.robots.plain_yaml import MOST_BYTES, YamlError, load_plain
 
+_log = logging.getLogger(__name__)
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
 #: Characters of a wrong value in a message.
 _WIDEST = 80
+#: Pydantic's words for a value where there should be keys.
+_WANTED_A_MAPPING = ("model_type", "model_attributes_type")
 #: Wrong keys that are told at a time.
 _MOST_ERRORS = 10
 
@@ -40,6 +45,7 @@ def read_yaml(source: Path | Traversable) -> dict[str, Any]:
     InputError
         The file is missing, unreadable, not YAML, or not a mapping.
     """
+    _log.info("reading %s", source)
     if isinstance(source, Path):
         return parse_yaml(read_text(source, MOST_BYTES), str(source))
     return parse_yaml(source.read_text(encoding="utf-8"), str(source))
@@ -130,6 +136,12 @@ def _describe(detail: ErrorDetails, model: type[BaseModel], origin: str) -> str:
         return f"{origin}: unknown key '{path}'{hint}"
     if detail["type"] == "missing":
         return f"{origin}: key '{path}' is missing"
+    if detail["type"] in _WANTED_A_MAPPING and (keys := _keys_at(model, detail["loc"])):
+        example = f"{path}.{keys[0]}"
+        return (
+            f"{origin}: key '{path}': expected keys below it ({', '.join(keys)}), as in {example} "
+            f"(got {_short(detail)})"
+        )
     message = detail["msg"].removeprefix("Value error, ")
     return f"{origin}: key '{path}': {message[:1].lower()}{message[1:]} (got {_short(detail)})"
 

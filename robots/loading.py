@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import os
 import sys
 import traceback
 from types import ModuleType
 
 from visctrl.robots.errors import InputError, LoadError
+
+_log = logging.getLogger(__name__)
 
 
 def load_object(target: str, what: str) -> object:
@@ -51,6 +54,7 @@ def load_module(name: str, what: str) -> ModuleType:
         here = None
     if here is not None and here not in sys.path:
         sys.path.append(here)
+    _log.debug("importing %s", name)
     try:
         return importlib.import_module(name)
     except (ImportError, TypeError, ValueError) as error:

@@ -18,7 +18,9 @@ import numpy as np
 import pytest
 
 from visctrl.cli.main import main
+from visctrl.cli.options import SCHEMES
 from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.runtime.schemes import schemes
 
 ROOT = Path(__file__).parents[2]
 TOYS = ROOT / "tests" / "runtime"
@@ -435,3 +437,28 @@ def test_a_machine_without_pybullet(
     assert "Traceback" not in done.err
     assert "failure" in done.out
     check(visctrl("run", "default", "--backend", "sim"), 2, "pybullet")
+
+
+def test_the_help_names_every_scheme_and_no_type_beside_a_flag(
+    visctrl: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert set(SCHEMES) == schemes().keys()
+    monkeypatch.setenv("COLUMNS", "200")
+    text = visctrl("run", "--help").out
+    assert "epipolar, pose, trifocal, trifocal2d" in text
+    flags = [line for line in text.splitlines() if "--" in line and "--help" not in line]
+    assert not [line for line in flags if "bool" in line]
+
+
+def test_a_key_that_holds_keys_says_which(visctrl: Call) -> None:
+    done = visctrl("run", "toy.yaml", "--set", "start=3")
+    check(done, 2, "key 'start': expected keys below it (x_m, y_m, phi_deg), as in start.x_m")
+
+
+def test_what_the_program_does_can_be_logged(visctrl: Call) -> None:
+    assert "INFO" not in visctrl("run", "toy.yaml", "-q", "--out", "a").err
+    done = visctrl("--verbose", "run", "toy.yaml", "-q", "--out", "b")
+    assert "visctrl: INFO: visctrl.runtime.run_directory: writing to" in done.err
+    assert "DEBUG" not in done.err
+    done = visctrl("--log-level", "debug", "run", "toy.yaml", "-q", "--out", "c")
+    assert "DEBUG: visctrl.robots.loading: importing toy_plugins" in done.err

@@ -65,7 +65,14 @@ PolarOption = Annotated[
         show_default=False,
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, and only that.")]
+JsonOption = Annotated[
+    bool,
+    typer.Option(
+        "--json",
+        metavar="",
+        help="Print JSON, and only that.",
+    ),
+]
 
 
 @calibration.command("camera")
@@ -82,7 +89,10 @@ def camera_command(
     ] = AxisChoice.FORWARD,
     polar: PolarOption = None,
     mirrored: Annotated[
-        bool, typer.Option("--mirrored", help="The picture is left-right reversed by a mirror.")
+        bool,
+        typer.Option(
+            "--mirrored", metavar="", help="The picture is left-right reversed by a mirror."
+        ),
     ] = False,
     out: OutOption = None,
     form: FormatOption = "visctrl",

@@ -208,7 +208,10 @@ def doctor_command(
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Leave out what takes seconds: rendering, tick budget.")
+        bool,
+        typer.Option(
+            "--quick", metavar="", help="Leave out what takes seconds: rendering, tick budget."
+        ),
     ] = False,
 ) -> None:
     """Check this machine, and the devices that are named, line by line.

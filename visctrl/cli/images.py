@@ -69,11 +69,31 @@ def replay_command(
     ] = None,
     overwrite: OverwriteOption = False,
     shared: SharedOption = False,
-    video: Annotated[bool, typer.Option("--video", help="Write an MP4 as well.")] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the summary on stdout, and only that.")
+    video: Annotated[
+        bool,
+        typer.Option(
+            "--video",
+            metavar="",
+            help="Write an MP4 as well.",
+        ),
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            metavar="",
+            help="Print the summary on stdout, and only that.",
+        ),
+    ] = False,
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet",
+            "-q",
+            metavar="",
+            help="Show no progress.",
+        ),
+    ] = False,
 ) -> None:
     """Run the plugins again over recorded images, without a robot: what would be sent is recorded.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import logging
 import os
 import re
 from collections.abc import Mapping
@@ -15,6 +16,8 @@ from typing import Any
 from visctrl.robots.errors import InputError, VisctrlError
 from visctrl.robots.files import absolute, lock, owner_only, unwritable, write_text
 from visctrl.runtime.recorder import FILES, IMAGES, SUMMARY
+
+_log = logging.getLogger(__name__)
 
 #: What says that a directory is a run's. While the run goes on it holds room for the last files.
 MARKER = ".visctrl-run"
@@ -137,6 +140,7 @@ class RunDirectory:
         if not lock(file) or not _same(file, marker):
             file.close()
             raise RunDirectoryTakenError(f"--out {self._named}: another run is writing there")
+        _log.info("writing to %s", self.path)
         self._new_marker = not found
         self._marker = file
         if not self._files():

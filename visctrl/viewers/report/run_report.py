@@ -218,9 +218,9 @@ def numbers(summary: Mapping[str, Any]) -> dict[str, str]:
         found["time"] = f"{summary['duration_s']:.1f} s"
         found["ticks"] = f"{summary['ticks']}, {summary['missed_ticks']} missed"
     compute, features = summary.get("compute_ms", {}), summary.get("features", {})
-    if compute.get("median") is not None:
+    if None not in (compute.get("median"), compute.get("p99")):
         found["tick, median / p99"] = f"{compute['median']:.1f} / {compute['p99']:.1f} ms"
-    if features.get("median") is not None:
+    if None not in (features.get("median"), features.get("min")):
         found["features, median / least"] = f"{features['median']:g} / {features['min']:g}"
     return found
 
