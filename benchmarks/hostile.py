@@ -104,12 +104,14 @@ def kinds(folder: Path) -> Iterator[dict[str, Kind]]:
     """Yield everything that takes bytes, working in a folder."""
     run = _recorded_run(folder)
     found = {"scenario": Kind(_SCENARIO.encode(), _scenario(folder))}
-    camera = load_camera("fisheye")
     for form in FORMATS:
-        with contextlib.suppress(VisctrlError):  # a format may not hold this camera
-            write_camera(camera, folder / "good.yaml", form)
-            data = (folder / "good.yaml").read_bytes()
-            found[f"calibration, {form}"] = Kind(data, _file(folder / "camera.yaml", read_camera))
+        for camera in (load_camera("perspective"), load_camera("fisheye")):
+            with contextlib.suppress(VisctrlError):  # a format may not hold this camera
+                write_camera(camera, folder / "good.yaml", form)
+                data = (folder / "good.yaml").read_bytes()
+                take = _file(folder / "camera.yaml", read_camera)
+                found[f"calibration, {form}"] = Kind(data, take)
+    camera = load_camera("fisheye")
     found["study"] = Kind(_STUDY.encode(), _study(folder))
     TargetView(np.zeros((1, camera.height, camera.width), np.uint8), camera).save(folder / "t.npz")
     target = (folder / "t.npz").read_bytes()

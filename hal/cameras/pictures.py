@@ -68,7 +68,10 @@ def _size(data: bytes, origin: str) -> tuple[int, int]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(data)) as picture:
-                return picture.size
+                size = picture.size
+                # A part that claims gigabytes makes OpenCV ask for them.
+                picture.verify()
+                return size
     except Image.DecompressionBombError:
         raise InputError(f"{origin}: claims more pixels than are read") from None
     except Exception:

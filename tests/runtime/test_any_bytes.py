@@ -21,7 +21,8 @@ Kinds = dict[str, Any]
 
 PATH = Path(__file__).parents[2] / "benchmarks" / "hostile.py"
 KINDS = (
-    *("scenario", "calibration, visctrl", "calibration, kalibr", "calibration, opencv", "study"),
+    *("scenario", "study", "calibration, visctrl", "calibration, kalibr", "calibration, opencv"),
+    *("calibration, ros", "calibration, camodocal", "calibration, basalt", "calibration, colmap"),
     *("target", "report, ticks.csv", "report, summary.json", "report, config.yaml"),
     *("replay, ticks.csv", "replay, images/index.csv", "study log", "HTTP request"),
     *(f"picture .{suffix}" for suffix in ("png", "jpg", "bmp", "tiff", "pgm")),
