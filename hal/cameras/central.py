@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Degrees = Annotated[float, Field(ge=0, le=180)]
 
+#: Pixels along a side that a calibration may claim.
+MOST_PIXELS = 32_768
+
 
 def _not_zero(focal: float) -> float:
     if focal == 0.0:
@@ -61,8 +64,8 @@ class CentralCamera(StrictModel, ABC):
 
     model: str
     name: str
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
+    width: Annotated[int, Field(gt=0, le=MOST_PIXELS)]
+    height: Annotated[int, Field(gt=0, le=MOST_PIXELS)]
     cx: float
     cy: float
     optical_axis: Literal["forward", "down", "up"] = "forward"
