@@ -35,6 +35,9 @@ _BUFFERED = 1
 _MANUAL_EXPOSURE = 1
 _DEFAULT_FILE_FPS = 25.0
 _FFMPEG_QUIET = "-8"
+_MOTION_JPEG = cv2.VideoWriter.fourcc(*"MJPG")
+#: Value of OpenCV's format property for packets as they come.
+_UNDECODED = -1
 
 _log = logging.getLogger(__name__)
 
@@ -169,14 +172,15 @@ class CaptureCamera(Camera):
                 return
             stamp = self._clock.now() - self._options.latency_s
             taken, picture = capture.retrieve()
-            if taken:
-                self._deliver(np.asarray(picture), stamp)
+            grey = _grey(np.asarray(picture)) if taken else None
+            if grey is not None:
+                self._deliver(grey, stamp)
             due = max(due + interval, stamp)
             if from_file:
                 self._clock.sleep_until(due)
 
-    def _deliver(self, picture: NDArray[np.uint8], stamp: float) -> None:
-        height, width = picture.shape[:2]
+    def _deliver(self, grey: NDArray[np.uint8], stamp: float) -> None:
+        height, width = grey.shape
         if (width, height) != (self.model.width, self.model.height):
             self._fail(
                 f"it delivers {width}x{height}, the calibration '{self.model.name}' is for "
@@ -184,7 +188,6 @@ class CaptureCamera(Camera):
                 "camera's size"
             )
             return
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         last = self._newest
         repeated = last is not None and np.array_equal(np.asarray(last.image), grey)
         if repeated and self._options.repeats_are_stale:
@@ -229,6 +232,9 @@ class CaptureCamera(Camera):
         """Ask for the calibration's size and the wanted settings, where the source can be asked."""
         options = self._options
         if "://" in options.source or Path(options.source).is_file():
+            if int(capture.get(cv2.CAP_PROP_FOURCC)) == _MOTION_JPEG:
+                # FFmpeg would scale a stream that changes its size back to its first one.
+                capture.set(cv2.CAP_PROP_FORMAT, _UNDECODED)
             return
         capture.set(cv2.CAP_PROP_BUFFERSIZE, _BUFFERED)
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, self.model.width)
@@ -239,6 +245,20 @@ class CaptureCamera(Camera):
             capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
             if not capture.set(cv2.CAP_PROP_EXPOSURE, options.exposure):
                 _log.warning("%s does not let its exposure be set", self._name)
+
+
+def _grey(picture: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """Return a decoded picture, or a packet of motion JPEG, in grey; None if it is damaged."""
+    if picture.ndim == 3:
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    if min(picture.shape) > 1:
+        return picture
+    try:
+        how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        decoded = cv2.imdecode(picture.ravel(), how)
+    except cv2.error:
+        return None
+    return None if decoded is None else np.asarray(decoded, dtype=np.uint8)
 
 
 def camera_devices() -> list[str]:

@@ -247,3 +247,17 @@ def test_age_of_what_is_read_and_when_it_is_refused(site: Site) -> None:
             site.world.sleep(0.5)
             assert camera.read().stamp > last + 1.5
     assert site.film.opened == site.film.released > 1
+
+
+def test_a_stream_that_changes_its_size_is_a_fault(tmp_path: Path) -> None:
+    """FFmpeg by itself goes on delivering the first size."""
+    path = tmp_path / "stream.mjpeg"
+    shots = [picture(level) for level in range(0, 40, 8)]
+    shots += [cv2.resize(picture(level), (WIDTH, HEIGHT // 2)) for level in range(0, 80, 8)]
+    path.write_bytes(b"".join(cv2.imencode(".jpg", shot)[1].tobytes() for shot in shots))
+    with (
+        pytest.raises(CameraError, match=f"it delivers {WIDTH}x{HEIGHT // 2}"),
+        opened(str(path)) as camera,
+    ):
+        for _ in frames_of(camera, 5.0):
+            pass

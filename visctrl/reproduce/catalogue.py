@@ -47,6 +47,11 @@ _ENTRIES = (
         "visctrl.reproduce.main_job:cameras",
     ),
     Entry(
+        "camera-models",
+        "four cameras with lens distortion, every scheme, four starts, rendered (own bounds)",
+        "visctrl.reproduce.camera_models:camera_models",
+    ),
+    Entry(
         "table-2.1",
         "epipolar control from four starts: the smooth law; the source's shown beside it",
         "visctrl.reproduce.chapter2:table_2_1",

@@ -47,7 +47,7 @@ def starts(bench: Bench) -> list[Row]:
     cases = [f"{x:+.2f} {y:+.2f} {phi:+.1f}" for x, y, phi in drawn]
     _write_tables(bench, cases, summaries)
     near = [_within(s, 0.02, 1.0) for s in summaries]
-    errors = [_error(s) for s in summaries]
+    errors = [final_error(s) for s in summaries]
     position = float(np.median([e[0] for e in errors]))
     heading = float(np.median([e[1] for e in errors]))
     touched = sum("touched" in s["reason"] for s in summaries)
@@ -78,7 +78,7 @@ def cameras(bench: Bench) -> list[Row]:
         within(
             case,
             {"position_cm": 2.0, "phi_deg": 1.0},
-            dict(zip(("position_cm", "phi_deg"), _error(summary), strict=True)),
+            dict(zip(("position_cm", "phi_deg"), final_error(summary), strict=True)),
         )
         for case, summary in zip(cases, summaries, strict=True)
     ]
@@ -90,7 +90,7 @@ def _job(start: Start, seed: int, *settings: str) -> RunSpec:
     return RunSpec(SCENARIO, (*where, *settings))
 
 
-def _error(summary: Summary) -> tuple[float, float]:
+def final_error(summary: Summary) -> tuple[float, float]:
     """Return the final distance (cm) and absolute heading error (deg)."""
     error = summary["final_error"]
     if error is None:
@@ -99,7 +99,7 @@ def _error(summary: Summary) -> tuple[float, float]:
 
 
 def _within(summary: Summary, position_m: float, heading_deg: float) -> bool:
-    position_cm, heading = _error(summary)
+    position_cm, heading = final_error(summary)
     reached = summary["status"] == "reached"
     return reached and position_cm <= 100.0 * position_m and heading <= heading_deg
 

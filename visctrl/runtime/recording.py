@@ -22,7 +22,10 @@ from visctrl.runtime.images import CAMERA, INDEX, INITIAL, TARGET, TICK
 from visctrl.runtime.recorder import CONFIG, IMAGES, TICKS
 from visctrl.runtime.target_view import load_target
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
+SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"),
+    *(".pgm", ".ppm", ".pnm", ".gif", ".webp"),
+)
 #: Largest table that is read (bytes).
 MOST_BYTES = 512_000_000
 #: Stages of a run that can be replayed.
@@ -140,8 +143,15 @@ def read_image(path: Path, camera: CentralCamera | None = None) -> Grey:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """Return the image files of a folder, numbers in their names in order of value."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    """Return the image files of a folder, numbers in their names in order of value.
+
+    Hidden files are none: beside every picture some systems leave ``._picture.jpg``.
+    """
+    files = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+    ]
     return sorted(files, key=lambda path: _natural(path.name))
 
 
