@@ -5,9 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from visctrl.hal.cameras.catalogue import camera_names, load_camera
+from visctrl.hal.cameras.catalogue import camera_names, load_camera, parse_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
+from visctrl.reproduce.camera_models import CAMERAS
 from visctrl.sim.render.accuracy import checker_room, measure_corners
 from visctrl.sim.render.renderer import Renderer
 from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem, open_renderer
@@ -76,7 +77,13 @@ def check_corners(
     ids=lambda camera: camera.name,
 )
 def test_known_corners_lie_where_the_model_says(drawer: DrawerName, camera: CentralCamera) -> None:
-    check_corners(camera, drawer, POSES, 0.9 if camera.xi > 0 else 0.6)
+    check_corners(camera, drawer, POSES, 0.6 if camera.rectilinear else 0.9)
+
+
+@pytest.mark.parametrize("name", sorted(CAMERAS))
+def test_distorted_cameras_are_drawn_as_they_are(drawer: DrawerName, name: str) -> None:
+    camera = parse_camera({"name": name, **CAMERAS[name][1]}, name)
+    check_corners(camera, drawer, POSES[:1], 0.2)
 
 
 @pytest.mark.parametrize("name", ["hypercatadioptric", "perspective"])

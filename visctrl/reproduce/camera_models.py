@@ -10,7 +10,7 @@ import numpy as np
 
 from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.files import Format, write_camera
-from visctrl.reproduce.entry import Bench, Row, at_most
+from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.reproduce.main_job import Start, final_error
 from visctrl.study.run_spec import RunSpec
 
@@ -97,6 +97,6 @@ def camera_models(bench: Bench) -> list[Row]:
     ]
     ends = np.reshape([final_error(summary) for summary in bench.run(jobs)], (-1, COUNT, 2))
     return [
-        at_most(f"{name}, {scheme}", BOUNDS, dict(zip(BOUNDS, worst.tolist(), strict=True)))
+        within(f"{name}, {scheme}", BOUNDS, dict(zip(BOUNDS, worst.tolist(), strict=True)))
         for (name, scheme), worst in zip(cases, ends.max(axis=1), strict=True)
     ]
