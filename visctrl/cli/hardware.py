@@ -81,8 +81,8 @@ def teach_command(
 
     A simulated robot visits the target for it.
     """
-    from visctrl.cli.overrides import flag_overrides
     from visctrl.cli.teach import teach
+    from visctrl.runtime.overrides import flag_overrides
 
     overrides = flag_overrides(
         settings=settings,

@@ -99,10 +99,10 @@ def replay_command(
 
     Exit code: 0 done, 2 bad input, 3 plugin fault.
     """
-    from visctrl.cli.overrides import flag_overrides
     from visctrl.cli.replay import replay_images
     from visctrl.cli.run import Place
     from visctrl.runtime.config import Override
+    from visctrl.runtime.overrides import flag_overrides
 
     # Options set with --set are those of the plugins named here, whatever the order.
     named = [

@@ -196,9 +196,9 @@ def run_command(
 
     Exit code: 0 reached, 1 missed or lost, 2 bad input, 3 device or plugin fault, 130 Ctrl-C.
     """
-    from visctrl.cli.overrides import flag_overrides
     from visctrl.cli.run import Place, run
     from visctrl.cli.watching import Watching
+    from visctrl.runtime.overrides import flag_overrides
 
     overrides = flag_overrides(
         settings=settings,
@@ -266,7 +266,7 @@ def config_command(
 ) -> None:
     """Check a scenario and print it as YAML."""
     from visctrl.cli.listing import show_scenario
-    from visctrl.cli.overrides import flag_overrides
+    from visctrl.runtime.overrides import flag_overrides
 
     show_scenario(scenario, flag_overrides(settings=settings), resolve=resolve)
 

@@ -14,10 +14,10 @@ from typing import Any
 
 from rich.console import Console
 
-from visctrl.cli.overrides import load_for_backend
 from visctrl.cli.progress import Progress
 from visctrl.cli.watching import Watching, watchers
 from visctrl.runtime.config import Override
+from visctrl.runtime.overrides import load_for_backend
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.session import Outcome

@@ -12,7 +12,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from visctrl.cli.overrides import load_for_backend
 from visctrl.hal.errors import CameraError
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Frame
@@ -21,6 +20,7 @@ from visctrl.robots.errors import InputError
 from visctrl.robots.files import absolute, owner_only
 from visctrl.runtime.config import Override
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.runtime.overrides import load_for_backend
 from visctrl.runtime.plan import Plan, make_plan
 from visctrl.runtime.target_view import TargetView, now_text
 from visctrl.viewers.video.frames import draw_frame, save_picture
@@ -71,19 +71,8 @@ def teach(
     untaught = Override(("target", "file"), None, "visctrl teach")
     loaded = load_for_backend(scenario, [*overrides, untaught], flags)
     plan = make_plan(loaded)
-    if plan.backend.delivers_features:
-        raise InputError(f"backend '{loaded.scenario.backend}' takes no pictures")
-    with Interrupts(), plan.open_backend() as backend:
-        frames = backend.teach(count) or list(_pictures(backend, count))
-        view = TargetView(
-            images=np.stack([np.asarray(frame.image) for frame in frames]),
-            camera=plan.camera,
-            odometry=backend.base.odometry().pose,
-            backend=loaded.scenario.backend,
-            robot=plan.robot.name,
-            taken=now_text(),
-            mount=plan.mount,
-        )
+    with Interrupts():
+        view, frames = take_target(plan, count)
     quality = assess(frames, plan.camera)
     findings = [*judge(quality), judge_arrival(view, plan)]
     with owner_only(unless=shared):
@@ -91,6 +80,30 @@ def teach(
         _save_preview(picture, frames[0], plan, quality)
     _show(out, picture, findings)
     return 0
+
+
+def take_target(plan: Plan, count: int) -> tuple[TargetView, list[Frame]]:
+    """Return the view from where the robot stands, and the pictures (see `teach`).
+
+    Raises
+    ------
+    InputError, DeviceError
+        The backend takes no pictures, or a device cannot be used.
+    """
+    if plan.backend.delivers_features:
+        raise InputError(f"backend '{plan.scenario.backend}' takes no pictures")
+    with plan.open_backend() as backend:
+        frames = backend.teach(count) or list(_pictures(backend, count))
+        view = TargetView(
+            images=np.stack([np.asarray(frame.image) for frame in frames]),
+            camera=plan.camera,
+            odometry=backend.base.odometry().pose,
+            backend=plan.scenario.backend,
+            robot=plan.robot.name,
+            taken=now_text(),
+            mount=plan.mount,
+        )
+    return view, frames
 
 
 def judge(quality: Quality) -> list[tuple[bool, str, str]]:

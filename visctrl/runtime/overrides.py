@@ -1,4 +1,4 @@
-"""Command-line options as overrides of a scenario."""
+"""Options of a run as overrides of a scenario."""
 
 from __future__ import annotations
 
