@@ -125,7 +125,7 @@ def teach(
     InputError, DeviceError
         An option or a device cannot be used, or there is no picture.
     """
-    from visctrl.cli.teach import take_target
+    from visctrl.runtime.teaching import take_target
 
     plan = _plan("default", settings, None, None, backend, robot, camera, seed, None, None)
     view, _ = take_target(plan, count)
@@ -194,17 +194,19 @@ def study(
     InputError
         The study or one of its scenarios cannot be used; nothing has been run.
     """
-    import json
-
-    from visctrl.cli.study import study as run_study
-    from visctrl.study.summary import SUMMARY
+    from visctrl.study.conduct import conduct_study
+    from visctrl.study.trials import load_study
+    from visctrl.study.workers import LocalWorkers, default_workers
 
     directory, temporary = _directory(out)
-    run_study(name, directory, workers, None, as_json=False, quiet=True)
-    summary: dict[str, Any] = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+    loaded = load_study(name)
+    loaded.check()
+    done = conduct_study(loaded, directory, LocalWorkers(workers or default_workers()))
     if temporary is not None:
         temporary.cleanup()
-    return summary
+    if done.interruption is not None:
+        raise done.interruption
+    return done.summary
 
 
 def _plan(

@@ -14,13 +14,11 @@ from rich.table import Table
 
 from visctrl.cli.study_progress import StudyProgress
 from visctrl.robots.errors import InputError
-from visctrl.robots.files import absolute, owner_only, write_text, writing
-from visctrl.runtime.interrupts import Interrupted, Interrupts
-from visctrl.study.loading import LoadedStudy, load_study
-from visctrl.study.log import StudyLog
-from visctrl.study.runner import run_study, table_rows
-from visctrl.study.summary import SUMMARY, summarised
-from visctrl.study.table import Row, write_table
+from visctrl.robots.files import absolute, owner_only
+from visctrl.runtime.interrupts import Interrupted
+from visctrl.study.conduct import conduct_study
+from visctrl.study.loading import load_study
+from visctrl.study.table import Row
 from visctrl.study.workers import LocalWorkers, Workers, default_workers
 
 RUNS = Path("runs")
@@ -53,32 +51,13 @@ def study(
     console = Console(stderr=True, quiet=quiet)
     with owner_only(unless=shared), StudyProgress(console) as progress:
         loaded.check(progress.checked)
-        with _workers(workers, cluster) as place, StudyLog(folder) as log:
-            rows, interruption = _run(loaded, log, place, progress)
-            summary = summarised(loaded.study, loaded.origin, rows)
-            with writing(folder):
-                files = write_table(rows, folder)
-                write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
+        with _workers(workers, cluster) as place:
+            done = conduct_study(loaded, folder, place, progress.ran(loaded.study.count))
     if as_json:
-        print(json.dumps({**summary, "table": str(files[0])}, indent=2))
+        print(json.dumps({**done.summary, "table": str(done.files[0])}, indent=2))
     elif not quiet:
-        _show(summary, [*files, folder / SUMMARY])
-    return _exit_code(summary, rows, interruption)
-
-
-def _run(
-    loaded: LoadedStudy, log: StudyLog, place: Workers, progress: StudyProgress
-) -> tuple[list[Row], Interrupted | None]:
-    """Run what is left; return the table, and the signal that ended it early."""
-    died: dict[int, Row] = {}
-    interruption = None
-    with Interrupts(suspendable=True) as interrupts:
-        try:
-            died = run_study(loaded, log, place, interrupts, progress.ran(loaded.study.count))
-        except Interrupted as raised:
-            interruption = raised
-        interrupts.ignore()
-        return table_rows(loaded, log, died), interruption
+        _show(done.summary, done.files)
+    return _exit_code(done.summary, done.rows, done.interruption)
 
 
 @contextmanager

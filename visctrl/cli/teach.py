@@ -4,30 +4,22 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from visctrl.hal.errors import CameraError
-from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Frame
 from visctrl.perception.quality import Quality, assess
-from visctrl.robots.errors import InputError
 from visctrl.robots.files import absolute, owner_only
 from visctrl.runtime.config import Override
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.overrides import load_for_backend
 from visctrl.runtime.plan import Plan, make_plan
-from visctrl.runtime.target_view import TargetView, now_text
+from visctrl.runtime.teaching import take_target
 from visctrl.viewers.video.frames import draw_frame, save_picture
-
-#: Longest wait for another picture (s).
-_PICTURE_S = 2.0
-_POLL_S = 0.01
 
 #: Of a target's features, about these shares are found again from near and from far; measured
 #: in the simulated hall from 1.5 m and 3.5 m.
@@ -80,30 +72,6 @@ def teach(
         _save_preview(picture, frames[0], plan, quality)
     _show(out, picture, findings)
     return 0
-
-
-def take_target(plan: Plan, count: int) -> tuple[TargetView, list[Frame]]:
-    """Return the view from where the robot stands, and the pictures (see `teach`).
-
-    Raises
-    ------
-    InputError, DeviceError
-        The backend takes no pictures, or a device cannot be used.
-    """
-    if plan.backend.delivers_features:
-        raise InputError(f"backend '{plan.scenario.backend}' takes no pictures")
-    with plan.open_backend() as backend:
-        frames = backend.teach(count) or list(_pictures(backend, count))
-        view = TargetView(
-            images=np.stack([np.asarray(frame.image) for frame in frames]),
-            camera=plan.camera,
-            odometry=backend.base.odometry().pose,
-            backend=plan.scenario.backend,
-            robot=plan.robot.name,
-            taken=now_text(),
-            mount=plan.mount,
-        )
-    return view, frames
 
 
 def judge(quality: Quality) -> list[tuple[bool, str, str]]:
@@ -179,20 +147,6 @@ def _light(quality: Quality) -> str:
     if quality.mean > _BRIGHT:
         return "too bright: less light, or a shorter exposure"
     return "" if quality.contrast >= _CONTRAST else "little contrast: mind exposure and focus"
-
-
-def _pictures(backend: Backend, count: int) -> Iterator[Frame]:
-    """Yield pictures that follow each other."""
-    clock = backend.clock
-    last = -1
-    for _ in range(count):
-        deadline = clock.now() + _PICTURE_S
-        while (frame := backend.camera.read()).sequence == last:
-            if clock.now() > deadline:
-                raise CameraError(f"no new picture for {_PICTURE_S:g} s")
-            clock.sleep_until(clock.now() + _POLL_S)
-        last = frame.sequence
-        yield frame
 
 
 def _save_preview(path: Path, frame: Frame, plan: Plan, quality: Quality) -> None:
