@@ -18,6 +18,7 @@ from visctrl.runtime.config import Override
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.overrides import load_for_backend
 from visctrl.runtime.plan import Plan, make_plan
+from visctrl.runtime.target_view import TargetView
 from visctrl.runtime.teaching import take_target
 from visctrl.viewers.video.frames import draw_frame, save_picture
 
