@@ -27,11 +27,11 @@ from two_cores import machine_ratio
 
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.interrupts import Interrupts
-from visctrl.study.loading import load_study
-from visctrl.study.log import StudyLog
-from visctrl.study.runner import run_study, table_rows
-from visctrl.study.table import write_table
-from visctrl.study.workers import LocalWorkers
+from visctrl.studies.loading import load_study
+from visctrl.studies.log import StudyLog
+from visctrl.studies.runner import run_study, table_rows
+from visctrl.studies.table import write_table
+from visctrl.studies.workers import LocalWorkers
 
 RUNS, ROUNDS = 100, 3
 SETTINGS = {

@@ -40,9 +40,9 @@ from visctrl.runtime.session import run_session
 from visctrl.runtime.stop import StopRequest
 from visctrl.runtime.summary import versions
 from visctrl.runtime.target_view import TargetView, load_target
-from visctrl.study.loading import load_study
-from visctrl.study.log import LOG, StudyLog
-from visctrl.study.table import ended
+from visctrl.studies.loading import load_study
+from visctrl.studies.log import LOG, StudyLog
+from visctrl.studies.table import ended
 from visctrl.viewers.report.run_report import write_report
 from visctrl.viewers.web.address import Address
 from visctrl.viewers.web.server import WebPage

@@ -17,13 +17,13 @@ from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
-from visctrl.study.batch import drive, run_all
-from visctrl.study.loading import load_study
-from visctrl.study.log import StudyLog
-from visctrl.study.run_spec import RunSpec
-from visctrl.study.runner import run_study, table_rows
-from visctrl.study.table import Row, write_table
-from visctrl.study.workers import Results
+from visctrl.studies.batch import drive, run_all
+from visctrl.studies.loading import load_study
+from visctrl.studies.log import StudyLog
+from visctrl.studies.run_spec import RunSpec
+from visctrl.studies.runner import run_study, table_rows
+from visctrl.studies.table import Row, write_table
+from visctrl.studies.workers import Results
 
 T = TypeVar("T")
 R = TypeVar("R")

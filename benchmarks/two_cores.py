@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from visctrl.study.workers import LocalWorkers
+from visctrl.studies.workers import LocalWorkers
 
 _PRODUCTS, _ITEMS = 4000, 12
 

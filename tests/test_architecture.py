@@ -16,7 +16,7 @@ ROOMS = ("robots", "hal", "sim", "visctrl")
 #: The rooms below `visctrl`, likewise. Providers of obstacles know the poses that are estimated.
 INNER_ROOMS = (
     *("contracts", "geometry", "perception", "planning", "schemes", "planning/providers"),
-    *("runtime", "calibration", "viewers", "study", "reproduce", "api", "cli"),
+    *("runtime", "calibration", "viewers", "studies", "reproduce", "api", "cli"),
 )
 #: Folders of the repository that are installed below `visctrl`.
 LINKED = ("robots", "hal", "sim", "configs")

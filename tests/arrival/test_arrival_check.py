@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from visctrl.study.run_spec import RunSpec
 
 from visctrl.hal.types import Features, Frame, Pose
 from visctrl.reproduce.arrival import CONDITIONS, Condition, judged
 from visctrl.runtime.session import run_session
 from visctrl.schemes.arrival.check import Answer, ArrivalCheck, Tolerance
+from visctrl.studies.run_spec import RunSpec
 
 _TOLERANCE = Tolerance(0.02, np.radians(1.0))
 

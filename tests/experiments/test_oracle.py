@@ -188,7 +188,7 @@ def test_the_product_ends_where_the_oracle_does_by_the_source_s_epipolar_law(sta
 
 def product(*settings):
     from visctrl.reproduce.cases import errors as ended
-    from visctrl.study.batch import drive
-    from visctrl.study.run_spec import RunSpec
+    from visctrl.studies.batch import drive
+    from visctrl.studies.run_spec import RunSpec
 
     return tuple(ended(drive(RunSpec("default", settings))).values())

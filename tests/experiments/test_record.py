@@ -8,7 +8,7 @@ from visctrl.reproduce.chapter4_bound import cramer_rao
 from visctrl.reproduce.chapter4_runs import noisy
 from visctrl.reproduce.entry import Row, against_source, told, within
 from visctrl.reproduce.record import keep, page
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 
 def test_what_a_row_is_judged_by_is_said():

@@ -11,7 +11,7 @@ from visctrl.reproduce.chapter3 import RESOLUTION, TABLE_3_1, _judged
 from visctrl.reproduce.chapter3_plots import plot_motion, plot_states, plot_tensors
 from visctrl.reproduce.image_motion import FILE
 from visctrl.reproduce.recorded_run import drive
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 
 @pytest.mark.parametrize("name", sorted(ENTRIES))

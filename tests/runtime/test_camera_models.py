@@ -9,7 +9,7 @@ import pytest
 from visctrl.reproduce.camera_models import BOUNDS, CAMERAS, camera_file, seeded_starts
 from visctrl.reproduce.main_job import final_error
 from visctrl.reproduce.recorded_run import drive
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 #: Every camera once, and every scheme once; features by the model instead of pictures.
 PAIRS = zip(sorted(CAMERAS), ("pose", "trifocal", "epipolar", "trifocal"), strict=True)

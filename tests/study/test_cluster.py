@@ -18,13 +18,13 @@ import yaml
 
 from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
-from visctrl.study import cluster
-from visctrl.study.cluster import ClusterError, ClusterWorkers
-from visctrl.study.loading import load_study
-from visctrl.study.log import StudyLog
-from visctrl.study.runner import run_study, table_rows
-from visctrl.study.table import write_table
-from visctrl.study.workers import Died, LocalWorkers, Workers
+from visctrl.studies import cluster
+from visctrl.studies.cluster import ClusterError, ClusterWorkers
+from visctrl.studies.loading import load_study
+from visctrl.studies.log import StudyLog
+from visctrl.studies.runner import run_study, table_rows
+from visctrl.studies.table import write_table
+from visctrl.studies.workers import Died, LocalWorkers, Workers
 
 pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
 

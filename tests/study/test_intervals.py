@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from visctrl.study.intervals import deviation, mean, median, wilson
+from visctrl.studies.intervals import deviation, mean, median, wilson
 
 
 @given(count=st.integers(1, 500), data=st.data())

@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from visctrl.robots.errors import InputError
-from visctrl.study.grid import Draw, Study, study_names
-from visctrl.study.loading import LoadedStudy, load_study
+from visctrl.studies.grid import Draw, Study, study_names
+from visctrl.studies.loading import LoadedStudy, load_study
 
 GRID = {"mock.noise_px": [0.0, 1.0], "controller.tau_s": [10.0, 12.0, 14.0]}
 

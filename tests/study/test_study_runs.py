@@ -21,11 +21,11 @@ import yaml
 from visctrl.cli.main import main
 from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
-from visctrl.study.loading import LoadedStudy, load_study
-from visctrl.study.log import LOG, StudyLog
-from visctrl.study.runner import run_study, table_rows
-from visctrl.study.table import TABLE, write_table
-from visctrl.study.workers import LocalWorkers, Workers
+from visctrl.studies.loading import LoadedStudy, load_study
+from visctrl.studies.log import LOG, StudyLog
+from visctrl.studies.runner import run_study, table_rows
+from visctrl.studies.table import TABLE, write_table
+from visctrl.studies.workers import LocalWorkers, Workers
 
 ROOT = Path(__file__).parents[2]
 #: Short runs that end for different reasons: too short a time, too few features, none in common.
@@ -256,7 +256,7 @@ def test_what_cannot_be_used_is_refused(
     monkeypatch.chdir(tmp_path)
     if "--cluster" in arguments and "--workers" not in arguments:
         pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-        monkeypatch.setattr("visctrl.study.cluster.CONNECT_S", 0.5)
+        monkeypatch.setattr("visctrl.studies.cluster.CONNECT_S", 0.5)
     assert run([*arguments, "-q"]) == 2
     [line, *_] = [line for line in capfd.readouterr().err.splitlines() if "visctrl:" in line]
     assert re.search(message, line)

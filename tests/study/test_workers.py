@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import study_work
 
-from visctrl.study.workers import PRELOADED, Died, LocalWorkers, begin_early
+from visctrl.studies.workers import PRELOADED, Died, LocalWorkers, begin_early
 from visctrl.threads import ONE_THREAD
 
 HERE = Path(__file__).parent
@@ -113,7 +113,7 @@ def test_workers_are_made_of_the_modules_that_their_parent_would_import(tmp_path
     script = tmp_path / "script.py"
     script.write_text(
         "import study_work\n"
-        "from visctrl.study.workers import LocalWorkers\n"
+        "from visctrl.studies.workers import LocalWorkers\n"
         "if __name__ == '__main__':\n"
         "    [(_, (_, imported))] = LocalWorkers(1).each("
         "study_work.origin, [('visctrl.hal.mock.backend',)])\n"
@@ -146,7 +146,7 @@ def test_stdout_is_not_the_workers(capfd: pytest.CaptureFixture[str]) -> None:
 def test_workers_of_a_killed_process_end(tmp_path: Path) -> None:
     code = (
         "import sys, study_work\n"
-        "from visctrl.study.workers import LocalWorkers\n"
+        "from visctrl.studies.workers import LocalWorkers\n"
         "if __name__ == '__main__':\n"
         "    tasks = [(1, sys.argv[1]), (2, sys.argv[1])]\n"
         "    list(LocalWorkers(2).each(study_work.sleeping, tasks))\n"

@@ -194,9 +194,9 @@ def study(
     InputError
         The study or one of its scenarios cannot be used; nothing has been run.
     """
-    from visctrl.study.conduct import conduct_study
-    from visctrl.study.trials import load_study
-    from visctrl.study.workers import LocalWorkers, default_workers
+    from visctrl.studies.conduct import conduct_study
+    from visctrl.studies.loading import load_study
+    from visctrl.studies.workers import LocalWorkers, default_workers
 
     directory, temporary = _directory(out)
     loaded = load_study(name)

@@ -22,7 +22,7 @@ def add_analysis_commands(app: typer.Typer) -> None:
 
 def _begin_workers() -> None:
     """Have worker processes begin to import what this one imports too, at the same time."""
-    from visctrl.study.workers import begin_early
+    from visctrl.studies.workers import begin_early
 
     begin_early()
 

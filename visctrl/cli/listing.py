@@ -21,7 +21,7 @@ from visctrl.runtime.config import (
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.schemes import schemes
-from visctrl.study.grid import study_names, study_title
+from visctrl.studies.grid import study_names, study_title
 
 _WIDE = 200
 

@@ -16,7 +16,7 @@ from visctrl.reproduce.catalogue import ENTRIES, Entry, entries_named
 from visctrl.reproduce.entry import Bench, Row
 from visctrl.reproduce.record import keep, page
 from visctrl.robots.files import write_text
-from visctrl.study.workers import default_workers
+from visctrl.studies.workers import default_workers
 
 
 def show_entries() -> None:

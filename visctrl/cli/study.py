@@ -16,10 +16,10 @@ from visctrl.cli.study_progress import StudyProgress
 from visctrl.robots.errors import InputError
 from visctrl.robots.files import absolute, owner_only
 from visctrl.runtime.interrupts import Interrupted
-from visctrl.study.conduct import conduct_study
-from visctrl.study.loading import load_study
-from visctrl.study.table import Row
-from visctrl.study.workers import LocalWorkers, Workers, default_workers
+from visctrl.studies.conduct import conduct_study
+from visctrl.studies.loading import load_study
+from visctrl.studies.table import Row
+from visctrl.studies.workers import LocalWorkers, Workers, default_workers
 
 RUNS = Path("runs")
 #: Cells that are printed; the summary file has them all.
@@ -70,7 +70,7 @@ def _workers(count: int | None, cluster: str | None) -> Iterator[Workers]:
         raise InputError(
             "--workers: a cluster has its own workers; leave --workers or --cluster out"
         )
-    from visctrl.study.cluster import ClusterWorkers
+    from visctrl.studies.cluster import ClusterWorkers
 
     with closing(ClusterWorkers(cluster)) as workers:
         yield workers

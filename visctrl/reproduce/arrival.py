@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from visctrl.hal.types import Frame, Pose
 from visctrl.reproduce.entry import Bench, Row
 from visctrl.robots.errors import InputError
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 if TYPE_CHECKING:
     from visctrl.runtime.plan import Plan

@@ -12,7 +12,7 @@ from visctrl.hal.cameras.catalogue import parse_camera
 from visctrl.hal.cameras.files import Format, write_camera
 from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.reproduce.main_job import Start, final_error
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 SCHEMES = ("trifocal", "trifocal2d", "epipolar", "pose")
 COUNT, SEED = 4, 16

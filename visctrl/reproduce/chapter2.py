@@ -25,7 +25,7 @@ from visctrl.reproduce.cases import (
 )
 from visctrl.reproduce.chapter2_plots import plot_motion, plot_runs, plot_scatter, plot_sweeps
 from visctrl.reproduce.entry import Bench, Row, against_source, at_least, within
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 #: Table 2.1: starts (m, m, deg) and published final errors (cm, cm, deg).
 TABLE_2_1: tuple[tuple[Start, tuple[float, float, float]], ...] = (

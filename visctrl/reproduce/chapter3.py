@@ -22,7 +22,7 @@ from visctrl.reproduce.cases import (
 )
 from visctrl.reproduce.chapter3_plots import plot_motion, plot_states, plot_tensors
 from visctrl.reproduce.entry import Bench, Row, against_source, told, within
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 Errors = tuple[float, float, float]
 

@@ -19,7 +19,7 @@ from visctrl.runtime.recording import open_recording
 from visctrl.runtime.replay import replay
 from visctrl.runtime.replay_plan import load_for_replay, plan_replay
 from visctrl.runtime.run_directory import RunDirectory
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 from visctrl.viewers.report.ticks import Ticks, read_ticks
 
 Array = NDArray[np.float64]

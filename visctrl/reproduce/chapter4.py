@@ -33,8 +33,8 @@ from visctrl.reproduce.chapter4_runs import (
     told_start,
 )
 from visctrl.reproduce.entry import Bench, Row, against_source, at_least, told, within
-from visctrl.study import intervals
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies import intervals
+from visctrl.studies.run_spec import RunSpec
 
 Errors = tuple[float, float, float]
 

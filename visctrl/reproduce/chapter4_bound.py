@@ -11,7 +11,7 @@ from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.mock.backend import MockOptions, Purpose
 from visctrl.hal.mock.scene import scatter, view_matrix
 from visctrl.hal.types import Pose
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from visctrl.reproduce.chapter4_plots import plot_curves, plot_runs
 from visctrl.reproduce.chapter4_runs import RATE, noisy, told_start
 from visctrl.reproduce.entry import Bench, Row, against_source, within
 from visctrl.robots import load_robot
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 Errors = tuple[float, float, float]
 Settings = tuple[str, ...]

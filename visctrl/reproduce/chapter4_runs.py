@@ -15,7 +15,7 @@ from visctrl.runtime.consistency import NAME, chi_square_bounds
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
 from visctrl.schemes.pose.estimate import Need, PoseEstimate
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 Array = NDArray[np.float64]
 

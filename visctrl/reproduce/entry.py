@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from visctrl.reproduce.recorded_run import drive
-from visctrl.study.batch import run_all
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.batch import run_all
+from visctrl.studies.run_spec import RunSpec
 
 Numbers = Mapping[str, float]
 

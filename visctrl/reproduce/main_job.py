@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from visctrl.reproduce.entry import Bench, Row, at_least, within
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 SCENARIO = "default"
 SEED = 48

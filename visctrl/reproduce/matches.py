@@ -21,7 +21,7 @@ from visctrl.perception.ambiguity import AmbiguousMatchError
 from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.robots.errors import InputError
 from visctrl.robots.unicycle import wrap_angle
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 #: A motion is wrong beyond these errors of heading and of the bearing of the start (deg), and
 #: beyond this many of the standard deviations that it states itself, which count up to a bound.

@@ -6,7 +6,7 @@ from typing import Any
 
 from visctrl.reproduce.image_motion import ImageMotion
 from visctrl.runtime.session import run_session
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 from visctrl.viewers.run_pictures import run_with_pictures
 
 

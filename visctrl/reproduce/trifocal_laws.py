@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from visctrl.reproduce.cases import Summary, column, distances, folder_name, start_at
 from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.reproduce.main_job import seeded_starts
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.run_spec import RunSpec
 
 _REAL = ("mock.noise_px=0.3", "mock.actuation.delay_s=0.1")
 #: What each condition lays over an exact robot with an exact camera.

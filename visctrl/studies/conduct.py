@@ -10,12 +10,12 @@ from typing import Any
 
 from visctrl.robots.files import write_text, writing
 from visctrl.runtime.interrupts import Interrupted, Interrupts
-from visctrl.study.log import StudyLog
-from visctrl.study.runner import run_study, table_rows
-from visctrl.study.summary import SUMMARY, summarised
-from visctrl.study.table import Row, write_table
-from visctrl.study.trials import LoadedStudy
-from visctrl.study.workers import Workers
+from visctrl.studies.loading import LoadedStudy
+from visctrl.studies.log import StudyLog
+from visctrl.studies.runner import run_study, table_rows
+from visctrl.studies.summary import SUMMARY, summarised
+from visctrl.studies.table import Row, write_table
+from visctrl.studies.workers import Workers
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from visctrl.robots.errors import InputError
 from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.session import run_session
 from visctrl.runtime.summary import STOPPED
-from visctrl.study.loading import LoadedStudy
-from visctrl.study.log import StudyLog
-from visctrl.study.run_spec import RunSpec
-from visctrl.study.table import DIED, REFUSED, Row, ended, row_of
-from visctrl.study.workers import Died, Workers, WorkerStoppedError
+from visctrl.studies.loading import LoadedStudy
+from visctrl.studies.log import StudyLog
+from visctrl.studies.run_spec import RunSpec
+from visctrl.studies.table import DIED, REFUSED, Row, ended, row_of
+from visctrl.studies.workers import Died, Workers, WorkerStoppedError
 
 #: A cluster's worker may have several threads; physics engines and plugins want one.
 _ONE_AT_A_TIME = threading.Lock()

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from visctrl.hal.errors import DeviceError
 from visctrl.robots.errors import InputError
 from visctrl.runtime.summary import versions
-from visctrl.study.workers import Died, Results
+from visctrl.studies.workers import Died, Results
 from visctrl.threads import limit_all
 
 T = TypeVar("T")

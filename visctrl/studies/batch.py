@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any
 
 from visctrl.robots.errors import VisctrlError
-from visctrl.study.run_spec import RunSpec
-from visctrl.study.workers import Died, LocalWorkers
+from visctrl.studies.run_spec import RunSpec
+from visctrl.studies.workers import Died, LocalWorkers
 
 
 class WorkerDiedError(VisctrlError):

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from visctrl.runtime.summary import REACHED
-from visctrl.study.grid import Study
-from visctrl.study.intervals import CONFIDENCE, deviation, mean, median, wilson
-from visctrl.study.table import DIED, ERRORS, Row
+from visctrl.studies.grid import Study
+from visctrl.studies.intervals import CONFIDENCE, deviation, mean, median, wilson
+from visctrl.studies.table import DIED, ERRORS, Row
 
 SUMMARY = "summary.json"
 #: How each interval is made, for whoever reads the summary.

@@ -26,8 +26,8 @@ from visctrl.runtime.config import (
 from visctrl.runtime.pipeline import PluginError
 from visctrl.runtime.plan import Chosen, Plan, make_plan
 from visctrl.runtime.registry import REGISTRIES
-from visctrl.study.grid import START_KEYS, Study, study_source
-from visctrl.study.run_spec import RunSpec
+from visctrl.studies.grid import START_KEYS, Study, study_source
+from visctrl.studies.run_spec import RunSpec
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ PRELOADED = (
     "visctrl.schemes.epipolar.estimator",
     "visctrl.schemes.approach.estimator",
     "visctrl.schemes.trifocal.estimator",
-    "visctrl.study.batch",
-    "visctrl.study.runner",
+    "visctrl.studies.batch",
+    "visctrl.studies.runner",
     "visctrl.perception.features",
 )
 

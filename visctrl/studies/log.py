@@ -12,9 +12,9 @@ from typing import Any, Self
 from visctrl.robots.errors import InputError
 from visctrl.robots.files import absolute, lock, unwritable
 from visctrl.runtime.summary import versions
-from visctrl.study.run_spec import RunSpec
-from visctrl.study.summary import SUMMARY
-from visctrl.study.table import PARQUET, TABLE, Row, is_row
+from visctrl.studies.run_spec import RunSpec
+from visctrl.studies.summary import SUMMARY
+from visctrl.studies.table import PARQUET, TABLE, Row, is_row
 
 LOG = "runs.jsonl"
 
