@@ -115,6 +115,7 @@ def test_an_installed_wheel_survives_packages_of_the_same_names(
     works(environment(tmp_path / "env", str(wheel)), tmp_path)
 
 
+@pytest.mark.skipif(find_spec("editables") is None, reason="needs editables")
 def test_an_editable_installation_survives_packages_of_the_same_names(tmp_path: Path) -> None:
     works(environment(tmp_path / "env", "--editable", str(ROOT)), tmp_path)
 
