@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,10 @@ import pytest
 from visctrl.cli.main import main
 from visctrl.cli.options import SCHEMES
 from visctrl.hal.cameras.catalogue import load_camera
+from visctrl.hal.cameras.files import write_camera
+from visctrl.robots.errors import DiskError
 from visctrl.runtime.schemes import schemes
+from visctrl.runtime.target_view import TargetView
 
 ROOT = Path(__file__).parents[2]
 TOYS = ROOT / "tests" / "runtime"
@@ -246,6 +250,8 @@ PLUGINS = {
         "'accepts'",
     ),
     GOOD + "class Mine(ToyController):\n  def __init__(self, *a): 1 / 0": (3, "ZeroDivision"),
+    GOOD + "class Mine(ToyController):\n  def update(self, *a): return None": (3, "'mine:Mine'"),
+    GOOD + "class Mine(ToyController):\n  def update(self, *a): return 0.1, 0": (3, "'mine:Mine'"),
     GOOD + "class Mine(ToyController):\n  def values(self): 1 / 0": (3, "'mine:Mine'"),
     GOOD + "class Mine(ToyController):\n  def values(self): return 3": (3, "'mine:Mine'"),
     GOOD + "class Mine(ToyController):\n  def expect(self, *a): 1 / 0": (0, ""),
@@ -462,3 +468,42 @@ def test_what_the_program_does_can_be_logged(visctrl: Call) -> None:
     assert "DEBUG" not in done.err
     done = visctrl("--log-level", "debug", "run", "toy.yaml", "-q", "--out", "c")
     assert "DEBUG: visctrl.robots.loading: importing toy_plugins" in done.err
+
+
+def test_a_full_disk_leaves_an_old_target_as_it_was(
+    visctrl: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: Any, **parts: object) -> None:
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    old = target_file()
+    (tmp_path / "target.npz").write_bytes(old)
+    camera = load_camera("perspective")
+    view = TargetView(np.zeros((1, camera.height, camera.width), np.uint8), camera)
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(DiskError, match=r"target.npz: cannot be written: No space left"):
+        view.save(tmp_path / "target.npz")
+    assert (tmp_path / "target.npz").read_bytes() == old
+    assert {path.name for path in tmp_path.iterdir()} == {"target.npz", "toy.yaml"}
+
+
+def test_a_replay_of_nothing_is_no_success(visctrl: Call, tmp_path: Path) -> None:
+    assert visctrl("run", "toy.yaml", "-q", "--out", "r", "--duration", "0.5").code == 1
+    images = tmp_path / "r" / "images"
+    images.mkdir()
+    camera = load_camera("perspective")
+    write_camera(camera, images / "camera.yaml", "visctrl")
+    for name in ("t.png", "i.png"):
+        _, data = cv2.imencode(".png", np.zeros((camera.height, camera.width), np.uint8))
+        (images / name).write_bytes(data.tobytes())
+    rows = "role,tick,sequence,stamp [s],age [s],file\ntarget,,0,0,0,t.png\ninitial,,1,0,0,i.png\n"
+    (images / "index.csv").write_text(rows)
+    check(visctrl("replay", "r", "-q"), 2, "holds no tick to replay")
+
+
+def test_a_far_start_is_given_the_time_that_its_way_takes(visctrl: Call) -> None:
+    done = visctrl("run", "mock", "--json", "-q", "--start", "0", "-20", "0", "--out", "far")
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["duration_s"] > 60.0, "the time that a near start is given"
+    assert visctrl("run", "mock", "-q", "--start", "0", "-20", "0", "--duration", "60").code == 1

@@ -191,7 +191,7 @@ class Line:
 @settings(max_examples=60, deadline=None)
 def test_whoever_comes_is_let_in_and_there_are_never_too_many(steps: list[tuple[str, int]]) -> None:
     now = 0.0
-    lanes = Lanes(lambda: now)
+    lanes = Lanes(lambda: now, lambda seconds: None)
     there: list[Connection] = []
     for step, number in steps:
         if step == "come" or not there:

@@ -76,7 +76,11 @@ StartOption = Annotated[
     ),
 ]
 DurationOption = Annotated[
-    float | None, typer.Option(metavar="S", help="Longest time of the main stage (s).")
+    float | None,
+    typer.Option(
+        metavar="S",
+        help="Longest time of the main stage (s); by the way and the speed limit if left out.",
+    ),
 ]
 SeedOption = Annotated[int | None, typer.Option(metavar="N", help="Seed of everything random.")]
 NoiseOption = Annotated[

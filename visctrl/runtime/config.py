@@ -167,6 +167,7 @@ class Scenario(StrictModel):
     camera_error: CameraError = CameraError()
     start: Start = Start()
     target: Target = Target()
+    #: Longest time of the main stage; where it is left out, longer for a far start (see `Plan`).
     duration_s: Annotated[float, Field(gt=0.0, le=100_000.0)] = 60.0
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 10.0
     seed: Annotated[int, Field(ge=0)] = 0

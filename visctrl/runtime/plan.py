@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +18,14 @@ from visctrl.robots import Limits, Robot, load_robot
 from visctrl.robots.documents import StrictModel, validate
 from visctrl.robots.errors import InputError
 from visctrl.robots.model import Mount, is_path
-from visctrl.runtime.config import CameraChoice, CameraError, LoadedScenario, PluginChoice, Scenario
+from visctrl.runtime.config import (
+    CameraChoice,
+    CameraError,
+    LoadedScenario,
+    PluginChoice,
+    Scenario,
+    Start,
+)
 from visctrl.runtime.registry import (
     REGISTRIES,
     Registries,
@@ -32,6 +40,10 @@ from visctrl.schemes import approach
 from visctrl.schemes.scheme import Scheme
 
 T = TypeVar("T")
+
+#: Time allowed to a run that does not say so: at least this (s); else this (s) and so many times
+#: what its way takes at full speed.
+_SHORTEST_S, _SPARE_S, _TIMES = 60.0, 30.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -180,6 +192,8 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
     main = replace(main, obstacles=_providers(loaded, registries, main))
     if not backend.measures_ranges(robot, backend_options):
         _refuse_listeners(loaded, main)
+    if "duration_s" not in scenario.model_fields_set:
+        scenario = scenario.model_copy(update={"duration_s": time_allowed(scenario.start, limits)})
     return Plan(
         scenario=scenario,
         backend=backend,
@@ -195,6 +209,15 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         main=main,
         notes=(note,) if note else (),
     )
+
+
+def time_allowed(start: Start, limits: Limits) -> float:
+    """Return how long a run may take (s) that does not say so: by the way and the speed limit.
+
+    The laws turn first, and drive slower the nearer they come.
+    """
+    way = math.hypot(start.x_m, start.y_m) / limits.v_m_s
+    return max(_SHORTEST_S, math.ceil(_SPARE_S + _TIMES * way))
 
 
 def _plugins(

@@ -19,6 +19,9 @@ _GUESTS = 32
 REQUEST_S, PAUSE_S = 3.0, 5.0
 #: A wrong token is answered so late (s), which limits how many can be tried.
 PENALTY_S = 0.5
+#: Where strangers push each other out, the next one is let in so much later (s): a flood gets no
+#: more of the processor than that leaves it.
+_CROWDED_S = 0.003
 
 
 @dataclass(eq=False)
@@ -45,12 +48,16 @@ class Lanes:
 
     Parameters
     ----------
-    clock : callable
-        Returns a steady time (s).
+    clock, sleep : callable
+        A steady time (s), and what waits for so long.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self._clock, self._sleep = clock, sleep
         self._lock = threading.Lock()
         #: In the order of their arrival, guests in that of their last request.
         self._all: list[Connection] = []
@@ -69,8 +76,11 @@ class Lanes:
             crowd = max(counts, key=lambda name: counts[name])
             if counts[peer] > _OF_ONE_PEER:
                 crowd = peer
-            if counts[crowd] > _OF_ONE_PEER or len(strangers) > _STRANGERS:
+            crowded = counts[crowd] > _OF_ONE_PEER or len(strangers) > _STRANGERS
+            if crowded:
                 self._dismiss(next(each for each in strangers if each.peer == crowd))
+        if crowded:
+            self._sleep(_CROWDED_S)
         return new
 
     def welcome(self, connection: Connection) -> None:
