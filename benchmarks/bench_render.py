@@ -26,15 +26,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.types import Pose
 from visctrl.robots.unicycle import to_rep103
-from visctrl.sim.options import SimOptions
+from visctrl.sim.options import RendererName, SimOptions
 from visctrl.sim.render.drawn import DrawnScene, TextureFiles
 from visctrl.sim.render.imaging import Sensor
 from visctrl.sim.render.renderer import Renderer
-from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem, open_renderer
+from visctrl.sim.render.renderer_choice import drawer_problem, open_renderer
 from visctrl.sim.world.engine import connect, disconnect, pybullet
 from visctrl.sim.world.scene import load_scene
 
-RENDERERS: tuple[DrawerName, ...] = ("tiny", "gl")
+RENDERERS: tuple[RendererName, ...] = ("tiny", "gl")
 CAMERAS = ("hypercatadioptric", "paracatadioptric", "fisheye")
 WIDTH, HEIGHT = 800, 600
 EYE_M = 0.75
@@ -74,7 +74,7 @@ def plain_frames(options: SimOptions) -> tuple[Draw, int]:
     return draw, client
 
 
-def camera_frames(name: str, drawer: DrawerName, options: SimOptions) -> tuple[Draw, Renderer]:
+def camera_frames(name: str, drawer: RendererName, options: SimOptions) -> tuple[Draw, Renderer]:
     """Return a function that draws and exposes a camera's frame, and its renderer."""
     camera = load_camera(name)
     assert (camera.width, camera.height) == (WIDTH, HEIGHT)

@@ -19,13 +19,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from visctrl.hal.cameras.catalogue import camera_names, load_camera
 from visctrl.hal.types import Pose
+from visctrl.sim.options import RendererName
 from visctrl.sim.render.accuracy import CornerErrors, checker_room, measure_corners
-from visctrl.sim.render.renderer_choice import DRAWERS, DrawerName, drawer_problem, open_renderer
+from visctrl.sim.render.renderer_choice import DRAWERS, drawer_problem, open_renderer
 
 BOUND_PX = 0.2
 
 
-def measured(name: str, drawer: DrawerName, poses: list[Pose]) -> CornerErrors:
+def measured(name: str, drawer: RendererName, poses: list[Pose]) -> CornerErrors:
     """Return the errors of one camera, drawn by one renderer."""
     camera = load_camera(name)
     renderer = open_renderer(drawer, checker_room(), camera)

@@ -14,7 +14,7 @@ from visctrl.robots.documents import StrictModel
 from visctrl.sim.world.light import Light
 from visctrl.sim.world.scene_files import check_scene_name
 
-RendererName = Literal["auto", "tiny", "egl", "gl"]
+RendererName = Literal["tiny", "gl"]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
@@ -71,10 +71,9 @@ class SimOptions(BackendOptions):
         made from that seed (see `visctrl.sim.world.random_scene`).
     boxes : what stands there besides.
     renderer : ``tiny`` draws in software everywhere, with the same bits; ``gl`` casts rays in an
-        OpenGL shader, several times as fast, and needs moderngl and a driver; ``egl`` is
-        PyBullet's and pays off on a GPU only; ``auto`` times all of them and takes the fastest.
-        If left out, ``tiny``, or ``gl`` where PyBullet was built without NumPy and a picture of
-        ``tiny`` would cost seven times as much.
+        OpenGL shader, several times as fast, and needs moderngl and a driver. If left out,
+        ``tiny``, or ``gl`` where PyBullet was built without NumPy and a picture of ``tiny`` would
+        cost seven times as much.
     image_noise : standard deviation of the pixel noise (grey levels).
     blur_px : Gaussian blur of the optics (px).
     exposure : amplitude of slow, smooth changes of the image's gain (0.2: between 0.8 and 1.2).

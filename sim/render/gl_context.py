@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from ctypes.util import find_library
-from functools import cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +15,6 @@ if TYPE_CHECKING:
 _VERSION = 330
 # Elsewhere than on Linux, moderngl's own choice needs no display.
 _OPTIONS: dict[str, Any] = {"backend": "egl"} if sys.platform == "linux" else {}
-#: EGL's names of the surfaces that are read from and drawn to.
-_READ, _DRAW = 0x305A, 0x3059
 _REMEDY = "install one (on Debian: libegl1 libgl1 libgl1-mesa-dri), or use renderer 'tiny'"
 
 
@@ -39,7 +32,7 @@ def gl_problem() -> str:
 
 
 def open_context() -> moderngl.Context:
-    """Return a new context, to be used within `current` only.
+    """Return a new context, to be used as a context manager only: it is then current.
 
     Raises
     ------
@@ -50,53 +43,10 @@ def open_context() -> moderngl.Context:
         raise InputError(f"renderer 'gl': {problem}")
     import moderngl
 
-    with _restored():
-        try:
-            return moderngl.create_context(standalone=True, require=_VERSION, **_OPTIONS)
-        except Exception as error:
-            raise InputError(
-                f"renderer 'gl': no further OpenGL context ({error}): {_REMEDY}"
-            ) from None
-
-
-@contextmanager
-def current(context: moderngl.Context) -> Iterator[None]:
-    """Make a context this thread's current one; afterwards, it is what it was before.
-
-    PyBullet's EGL plugin takes it for granted that nobody ever changes it.
-    """
-    with _restored(), context:
-        yield
-
-
-@contextmanager
-def _restored() -> Iterator[None]:
-    egl = _egl()
-    if egl is None:
-        yield
-        return
-    before = egl.eglGetCurrentContext()
-    display = egl.eglGetCurrentDisplay()
-    surfaces = [egl.eglGetCurrentSurface(which) for which in (_DRAW, _READ)]
     try:
-        yield
-    finally:
-        if before is not None:
-            egl.eglMakeCurrent(display, *surfaces, before)
-
-
-@cache
-def _egl() -> ctypes.CDLL | None:
-    """Return the library that keeps the current context, None where it is not EGL."""
-    name = find_library("EGL") if sys.platform == "linux" else None
-    if name is None:
-        return None
-    egl = ctypes.CDLL(name)
-    handle = ctypes.c_void_p
-    egl.eglGetCurrentContext.restype = egl.eglGetCurrentDisplay.restype = handle
-    egl.eglGetCurrentSurface.restype = handle
-    egl.eglMakeCurrent.argtypes = [handle] * 4
-    return egl
+        return moderngl.create_context(standalone=True, require=_VERSION, **_OPTIONS)
+    except Exception as error:
+        raise InputError(f"renderer 'gl': no further OpenGL context ({error}): {_REMEDY}") from None
 
 
 #: Clears a picture to a grey and looks whether it is there.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.hal.errors import InputError
-from visctrl.sim.render.gl_context import current, open_context
+from visctrl.sim.render.gl_context import open_context
 from visctrl.sim.render.raycast import Candidates, Tiles
 from visctrl.sim.render.texture_sheet import TextureSheet
 from visctrl.sim.render.textures import OBLIQUENESS
@@ -55,7 +55,7 @@ class RayPass:
         self._where = np.column_stack([tiles.corner, np.arange(len(tiles.corner))])
         self._context: moderngl.Context | None = open_context()
         try:
-            with current(self._context):
+            with self._context:
                 self._load(self._context, _by_blocks(tiles.gather(rays)), tiles.side, sheet)
         except BaseException:
             self.close()
@@ -80,7 +80,7 @@ class RayPass:
         program = np.where(candidates.filled | (candidates.counts != 1), candidates.counts, 0)
         program[program > max(_COUNTS)] = 0
         picture = np.empty(self._size, np.uint8)
-        with current(self._context):
+        with self._context:
             # What no tile covers, or a tile that shows nothing, stays black.
             self._target.clear()
             self._write_hits(self._context, hits)

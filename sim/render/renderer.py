@@ -9,7 +9,6 @@ scene. `visctrl.sim.render.gl_renderer` casts rays instead;
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -20,19 +19,15 @@ from visctrl.hal.types import Pose
 from visctrl.sim.render.drawn import DrawnScene, TextureFiles
 from visctrl.sim.render.ground import Backdrop
 from visctrl.sim.render.view_atlas import Face, PixelOrigin, plan_faces
-from visctrl.sim.world.engine import connect, disconnect, load_egl, pybullet
+from visctrl.sim.world.engine import connect, disconnect, pybullet
 from visctrl.sim.world.frames import TO_ENGINE, heading_matrix
 from visctrl.sim.world.scene import Scene
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Rasteriser = Literal["tiny", "egl"]
 
-#: Where the first pixel of each rasteriser samples (measured with known points).
-PIXEL_ORIGINS: dict[Rasteriser, PixelOrigin] = {
-    "tiny": PixelOrigin(0.0, 1.0),
-    "egl": PixelOrigin(0.5, 0.5),
-}
+#: Where the first pixel of PyBullet's rasteriser samples (measured with known points).
+PIXEL_ORIGIN = PixelOrigin(0.0, 1.0)
 _NEAR_M, _FAR_M = 0.05, 60.0
 #: Depth buffer value beyond which nothing has been drawn.
 _EMPTY_DEPTH = 0.99999
@@ -58,7 +53,7 @@ class Renderer(ABC):
 
 
 class BulletRenderer(Renderer):
-    """Draws with PyBullet.
+    """Draws with PyBullet's software rasteriser, TinyRenderer.
 
     Parameters
     ----------
@@ -66,8 +61,6 @@ class BulletRenderer(Renderer):
         What is there.
     camera : CentralCamera
         What the image is made with.
-    drawer : {"tiny", "egl"}
-        PyBullet's software renderer, or its EGL plugin (see `visctrl.sim.render.renderer_choice`).
     detail : float
         Face pixels per image pixel (see `plan_faces`).
     floor : bool
@@ -78,23 +71,16 @@ class BulletRenderer(Renderer):
         self,
         scene: Scene,
         camera: CentralCamera,
-        drawer: Rasteriser = "tiny",
         detail: float = 1.0,
         floor: bool = True,
     ) -> None:
         self.camera = camera
-        self.layout = plan_faces(camera, PIXEL_ORIGINS[drawer], detail)
+        self.layout = plan_faces(camera, PIXEL_ORIGIN, detail)
         self._client = connect()
-        self._plugin = load_egl(self._client) if drawer == "egl" else None
-        self._flag = (
-            pybullet.ER_TINY_RENDERER
-            if self._plugin is None
-            else pybullet.ER_BULLET_HARDWARE_OPENGL
-        )
         self._drawn = DrawnScene(
-            self._client, scene, camera, TextureFiles.shared(), mipmapped=drawer == "egl"
+            self._client, scene, camera, TextureFiles.shared(), mipmapped=False
         )
-        self._backdrop = Backdrop(scene, camera, self.layout, PIXEL_ORIGINS[drawer], floor)
+        self._backdrop = Backdrop(scene, camera, self.layout, PIXEL_ORIGIN, floor)
         self._atlas = np.zeros(self.layout.size, np.uint8)
         self._projections = [_projection(face) for face in self.layout.faces]
 
@@ -138,7 +124,7 @@ class BulletRenderer(Renderer):
             lightAmbientCoeff=1.0,
             lightDiffuseCoeff=0.0,
             lightSpecularCoeff=0.0,
-            renderer=self._flag,
+            renderer=pybullet.ER_TINY_RENDERER,
             flags=pybullet.ER_NO_SEGMENTATION_MASK,
             physicsClientId=self._client,
         )

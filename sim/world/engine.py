@@ -1,7 +1,7 @@
 """PyBullet, kept from talking on standard output and from ending the process.
 
 It reports its build, its threads and its OpenGL context on the standard streams, below Python's
-own; and where a display or an EGL driver is missing it calls ``exit``. So its chatter is sent
+own; and where a display is missing it calls ``exit``. So its chatter is sent
 nowhere, and what may not work is tried in another process first.
 """
 
@@ -12,7 +12,6 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from typing import Any
 
 from visctrl.hal.errors import InputError
@@ -22,11 +21,9 @@ __all__ = [
     "connect",
     "connect_window",
     "disconnect",
-    "egl_works",
     "engine_problem",
     "hands_over_arrays",
     "hushed",
-    "load_egl",
     "pybullet",
 ]
 
@@ -127,25 +124,6 @@ def connect_window() -> int:
         return int(pybullet.connect(pybullet.GUI))
 
 
-def egl_works() -> bool:
-    """Return whether PyBullet's EGL renderer draws on this machine."""
-    return find_spec(_EGL_MODULE) is not None and works(_EGL_PROBE)
-
-
-def load_egl(client: int) -> int:
-    """Load the EGL renderer into a client, after `egl_works`, and return the plugin's number."""
-    spec = find_spec(_EGL_MODULE)
-    assert spec is not None
-    with hushed():
-        plugin = int(pybullet.loadPlugin(spec.origin, _EGL_PLUGIN, physicsClientId=client))
-        # The first two pictures report the driver's vendor.
-        for _ in range(2):
-            pybullet.getCameraImage(
-                16, 16, renderer=pybullet.ER_BULLET_HARDWARE_OPENGL, physicsClientId=client
-            )
-    return plugin
-
-
 def disconnect(client: int) -> None:
     """Close a client, and its window if it has one."""
     if pybullet.isConnected(client):
@@ -153,27 +131,8 @@ def disconnect(client: int) -> None:
             pybullet.disconnect(physicsClientId=client)
 
 
-_EGL_MODULE = "eglRenderer"
-_EGL_PLUGIN = "_eglRendererPlugin"
-
 _WINDOW_PROBE = """
 import pybullet
 client = pybullet.connect(pybullet.GUI)
 print("\\nanswer: works" if client >= 0 else "\\nanswer: fails", flush=True)
-"""
-
-#: Draws a red box and looks at a pixel of it and at one beside it.
-_EGL_PROBE = f"""
-import importlib.util
-import pybullet as p
-client = p.connect(p.DIRECT)
-p.loadPlugin(importlib.util.find_spec("{_EGL_MODULE}").origin, "{_EGL_PLUGIN}")
-shape = p.createVisualShape(p.GEOM_BOX, halfExtents=[0.5] * 3, rgbaColor=[1, 0, 0, 1])
-p.createMultiBody(baseVisualShapeIndex=shape, basePosition=[3, 0, 0])
-view = p.computeViewMatrix([0, 0, 0], [1, 0, 0], [0, 0, 1])
-lens = p.computeProjectionMatrixFOV(60, 1, 0.1, 10)
-picture = p.getCameraImage(64, 64, view, lens, shadow=0, renderer=p.ER_BULLET_HARDWARE_OPENGL)[2]
-box, beside = picture[32][32], picture[2][2]
-drawn = box[0] > 2 * int(box[2]) and beside[2] > 100
-print("\\nanswer: works" if drawn else "\\nanswer: fails", flush=True)
 """

@@ -49,16 +49,15 @@ def test_an_unknown_renderer_is_bad_input(
         main()
     assert ended.value.code == 2
     err = capsys.readouterr().err
-    for word in ("sim.renderer", "'auto'", "'tiny'", "'egl'", "'gl'"):
+    for word in ("sim.renderer", "'tiny'", "'gl'"):
         assert word in err
 
 
 def test_the_doctor_says_which_renderers_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_drawing_times", lambda drawer, model: iter([12.3]))
-    monkeypatch.setattr("visctrl.sim.render.renderer_choice.egl_works", lambda: True)
     monkeypatch.setattr("visctrl.sim.render.renderer_choice.gl_problem", lambda: "")
     found = {each.what: each for each in doctor.renderers(CameraChoice())}
-    assert set(found) == {"renderer gl", "renderer tiny", "renderer egl"}
+    assert set(found) == {"renderer gl", "renderer tiny"}
     assert found["renderer gl"].found == "12 ms a picture of 800x600"
     problem = "pip install 'visctrl[gl]'"
     monkeypatch.setattr("visctrl.sim.render.renderer_choice.gl_problem", lambda: problem)

@@ -15,8 +15,8 @@ from visctrl.hal.interfaces import BackendSetup
 from visctrl.hal.types import Frame, Pose, Velocity
 from visctrl.robots import Limits, load_robot
 from visctrl.sim.backend import SimBackend
-from visctrl.sim.options import SimOptions
-from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem
+from visctrl.sim.options import RendererName, SimOptions
+from visctrl.sim.render.renderer_choice import drawer_problem
 
 pytestmark = pytest.mark.sim
 START = Pose(-0.55, -1.35, math.radians(-35.0))
@@ -79,13 +79,13 @@ def test_teaching_visits_the_target_and_returns() -> None:
 renderers = pytest.mark.parametrize("renderer", ["tiny", "gl"])
 
 
-def skip_without(renderer: DrawerName) -> None:
+def skip_without(renderer: RendererName) -> None:
     if problem := drawer_problem(renderer):
         pytest.skip(problem)
 
 
 @renderers
-def test_the_same_seed_gives_the_same_bits(renderer: DrawerName) -> None:
+def test_the_same_seed_gives_the_same_bits(renderer: RendererName) -> None:
     skip_without(renderer)
     runs = []
     for seed in (3, 3, 4):
@@ -167,7 +167,7 @@ def test_running_into_furniture_is_counted() -> None:
 
 
 @renderers
-def test_an_item_may_be_moved_into_the_way(renderer: DrawerName) -> None:
+def test_an_item_may_be_moved_into_the_way(renderer: RendererName) -> None:
     skip_without(renderer)
     start = Pose(0.0, -3.0, 0.0)
     with opened(start=start, image_noise=0.0, renderer=renderer) as backend:

@@ -20,7 +20,7 @@ from visctrl.hal.types import Pose
 from visctrl.sim.render import gl_context
 from visctrl.sim.render.gl_renderer import GlRenderer
 from visctrl.sim.render.renderer import BulletRenderer
-from visctrl.sim.render.renderer_choice import choose_drawer, drawer_problem, open_renderer
+from visctrl.sim.render.renderer_choice import choose_drawer, drawer_problem
 from visctrl.sim.world.scene import load_scene
 
 pytestmark = [
@@ -113,21 +113,6 @@ def test_renderers_do_not_disturb_each_other(small: GlRenderer) -> None:
         assert np.array_equal(small.render(pose, HEIGHT_M), before)
     other.close()
     assert np.array_equal(small.render(POSES[0], HEIGHT_M), alone[0])
-
-
-def test_it_gets_on_with_pybullets_own_context(small: GlRenderer) -> None:
-    if problem := drawer_problem("egl"):
-        pytest.skip(problem)
-    theirs = open_renderer("egl", ROOM, SMALL)
-    egl = theirs.render(POSES[0], HEIGHT_M)
-    alone = small.render(POSES[0], HEIGHT_M)
-    for _ in range(2):
-        assert np.array_equal(theirs.render(POSES[0], HEIGHT_M), egl)
-        assert np.array_equal(small.render(POSES[0], HEIGHT_M), alone)
-    GlRenderer(ROOM, SMALL).close()
-    assert np.array_equal(theirs.render(POSES[0], HEIGHT_M), egl)
-    theirs.close()
-    assert np.array_equal(small.render(POSES[0], HEIGHT_M), alone)
 
 
 def test_any_thread_may_draw(small: GlRenderer) -> None:

@@ -9,9 +9,10 @@ from visctrl.hal.cameras.catalogue import camera_names, load_camera, parse_camer
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.types import Pose
 from visctrl.reproduce.camera_models import CAMERAS
+from visctrl.sim.options import RendererName
 from visctrl.sim.render.accuracy import checker_room, measure_corners
 from visctrl.sim.render.renderer import Renderer
-from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem, open_renderer
+from visctrl.sim.render.renderer_choice import drawer_problem, open_renderer
 from visctrl.sim.world.frames import heading_matrix
 from visctrl.sim.world.scene import Ground, Item, Room, Scene
 
@@ -35,19 +36,19 @@ HYPER = load_camera("hypercatadioptric").resized(400, 300)
 
 
 @pytest.fixture(scope="module", params=["tiny", "gl"])
-def drawer(request: pytest.FixtureRequest) -> DrawerName:
-    name: DrawerName = request.param
+def drawer(request: pytest.FixtureRequest) -> RendererName:
+    name: RendererName = request.param
     skip_unless_it_works(name)
     return name
 
 
-def skip_unless_it_works(name: DrawerName) -> None:
+def skip_unless_it_works(name: RendererName) -> None:
     if problem := drawer_problem(name):
         pytest.skip(problem)
 
 
 def drawn(
-    drawer: DrawerName, camera: CentralCamera, pose: Pose, scene: Scene = SCENE, **options: object
+    drawer: RendererName, camera: CentralCamera, pose: Pose, scene: Scene = SCENE, **options: object
 ) -> np.ndarray:
     view = open_renderer(drawer, scene, camera, **options)  # type: ignore[arg-type]
     try:
@@ -57,7 +58,7 @@ def drawn(
 
 
 def check_corners(
-    camera: CentralCamera, drawer: DrawerName, poses: list[Pose], coverage: float
+    camera: CentralCamera, drawer: RendererName, poses: list[Pose], coverage: float
 ) -> None:
     view = open_renderer(drawer, checker_room(), camera)
     try:
@@ -76,30 +77,26 @@ def check_corners(
     [*(load_camera(name) for name in camera_names()), TILTED, UPWARD],
     ids=lambda camera: camera.name,
 )
-def test_known_corners_lie_where_the_model_says(drawer: DrawerName, camera: CentralCamera) -> None:
+def test_known_corners_lie_where_the_model_says(
+    drawer: RendererName, camera: CentralCamera
+) -> None:
     check_corners(camera, drawer, POSES, 0.6 if camera.rectilinear else 0.9)
 
 
 @pytest.mark.parametrize("name", sorted(CAMERAS))
-def test_distorted_cameras_are_drawn_as_they_are(drawer: DrawerName, name: str) -> None:
+def test_distorted_cameras_are_drawn_as_they_are(drawer: RendererName, name: str) -> None:
     camera = parse_camera({"name": name, **CAMERAS[name][1]}, name)
     check_corners(camera, drawer, POSES[:1], 0.2)
 
 
-@pytest.mark.parametrize("name", ["hypercatadioptric", "perspective"])
-def test_known_corners_lie_there_with_egl_too(name: str) -> None:
-    skip_unless_it_works("egl")
-    check_corners(load_camera(name), "egl", POSES[:2], 0.4)
-
-
 @pytest.fixture(scope="module")
-def hyper(drawer: DrawerName) -> Iterator[Renderer]:
+def hyper(drawer: RendererName) -> Iterator[Renderer]:
     view = open_renderer(drawer, SCENE, HYPER)
     yield view
     view.close()
 
 
-def test_the_same_view_gives_the_same_bits(drawer: DrawerName, hyper: Renderer) -> None:
+def test_the_same_view_gives_the_same_bits(drawer: RendererName, hyper: Renderer) -> None:
     first = hyper.render(POSES[0], HEIGHT_M)
     other = drawn(drawer, HYPER, POSES[0])
     assert first.dtype == np.uint8
@@ -126,7 +123,7 @@ def test_turning_the_robot_turns_a_mirrors_image(hyper: Renderer) -> None:
 
 
 @pytest.mark.parametrize("up", [False, True], ids=["floor", "ceiling"])
-def test_floor_and_ceiling_move_as_planes_do(drawer: DrawerName, up: bool) -> None:
+def test_floor_and_ceiling_move_as_planes_do(drawer: RendererName, up: bool) -> None:
     """Points of the plane look alike from two poses, and unlike if the plane is misplaced."""
     room = SCENE.room.model_copy(
         update={
@@ -162,7 +159,7 @@ def test_floor_and_ceiling_move_as_planes_do(drawer: DrawerName, up: bool) -> No
     assert likeness(misplaced) < likeness(plane) - 0.1
 
 
-def test_without_its_texture_the_floor_is_one_shade(drawer: DrawerName) -> None:
+def test_without_its_texture_the_floor_is_one_shade(drawer: RendererName) -> None:
     camera = load_camera("paracatadioptric").resized(400, 300)
     image = drawn(drawer, camera, Pose(0, 0, 0), floor=False)
     near = np.array([[0.9, 0.0, -0.75], [-0.9, 0.1, -0.75], [0.1, -1.0, -0.75]])
@@ -171,7 +168,7 @@ def test_without_its_texture_the_floor_is_one_shade(drawer: DrawerName) -> None:
     assert np.ptp(shades) == 0
 
 
-def test_a_moved_item_is_seen_where_it_is(drawer: DrawerName, hyper: Renderer) -> None:
+def test_a_moved_item_is_seen_where_it_is(drawer: RendererName, hyper: Renderer) -> None:
     pose = Pose(0.0, 0.0, 0.0)
     before = hyper.render(pose, HEIGHT_M)
     hyper.place("box", Pose(1.9, -0.5, 0.7))
@@ -185,7 +182,7 @@ def test_a_moved_item_is_seen_where_it_is(drawer: DrawerName, hyper: Renderer) -
     assert np.mean(np.abs(after.astype(float) - before) > 8) > 0.01
 
 
-def test_a_finer_or_coarser_layout_shows_the_same(drawer: DrawerName, hyper: Renderer) -> None:
+def test_a_finer_or_coarser_layout_shows_the_same(drawer: RendererName, hyper: Renderer) -> None:
     image = hyper.render(POSES[0], HEIGHT_M).astype(float)
     for detail in (0.7, 1.5):
         other = drawn(drawer, HYPER, POSES[0], detail=detail).astype(float)
@@ -193,7 +190,7 @@ def test_a_finer_or_coarser_layout_shows_the_same(drawer: DrawerName, hyper: Ren
         assert np.corrcoef(image[inside], other[inside])[0, 1] > 0.95
 
 
-def test_closing_twice_is_harmless(drawer: DrawerName) -> None:
+def test_closing_twice_is_harmless(drawer: RendererName) -> None:
     view = open_renderer(drawer, SCENE, load_camera("perspective").resized(160, 120))
     view.close()
     view.close()

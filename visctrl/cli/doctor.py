@@ -28,7 +28,7 @@ from visctrl.runtime.registry import REGISTRIES
 
 if TYPE_CHECKING:
     from visctrl.hal.pioneer.base import PioneerBase
-    from visctrl.sim.render.renderer_choice import DrawerName
+    from visctrl.sim.options import RendererName
 
 _PACKAGES = (
     "numpy", "scipy", "opencv-python-headless", "filterpy", "pyyaml", "pyserial",
@@ -279,7 +279,7 @@ def renderers(camera: CameraChoice) -> Iterator[Finding]:
         yield Finding(Level.OK, f"renderer {drawer}", found)
 
 
-def _drawing_times(drawer: DrawerName, model: CentralCamera) -> Iterator[float]:
+def _drawing_times(drawer: RendererName, model: CentralCamera) -> Iterator[float]:
     """Yield what single pictures take (ms)."""
     from visctrl.sim.render.renderer_choice import open_renderer
     from visctrl.sim.world.scene import load_scene
