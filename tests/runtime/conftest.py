@@ -18,6 +18,7 @@ TOY = {
     "estimator.name": "toy",
     "controller.name": "toy",
     "approach.enabled": False,
+    "final.enabled": False,
     "approach.estimator.name": "toy",
     "approach.controller.name": "toy-approach",
     "start.x_m": 0.0,

@@ -27,7 +27,7 @@ def test_a_run_with_many_faults_arrives_and_its_files_stay_small(
     soak: ModuleType, tmp_path: Path
 ) -> None:
     found = soak.soak_one(0.03, 0, tmp_path)
-    assert found["status"] == "reached"
+    assert found["arrived"], found["reason"]
     assert found["bytes_per_tick"] <= soak.MOST_BYTES_PER_TICK
     assert found["notes"] == []
 

@@ -37,6 +37,11 @@ _ENTRIES = (
         "visctrl.reproduce.arrival:arrival",
     ),
     Entry(
+        "arrival-starts",
+        "113 starts within 0.3 m of the target, three conditions (bounds are the project's own)",
+        "visctrl.reproduce.arrival_starts:arrival_starts",
+    ),
+    Entry(
         "sim-starts",
         "48 seeded starts on rendered images, trifocal scheme (bounds are the project's own)",
         "visctrl.reproduce.main_job:starts",

@@ -6,17 +6,23 @@ import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from visctrl.contracts import Match, Views
+from visctrl.contracts import Match, Perception, Views
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Frame, Odometry, Pose
 from visctrl.robots.unicycle import wrapped
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
-from visctrl.schemes.arrival.check import ArrivalCheck, Tolerance, Verdict
+from visctrl.schemes.arrival.centre import centre_of_turns
+from visctrl.schemes.arrival.check import LEAST_SHARE, Answer, ArrivalCheck, Tolerance, Verdict
+from visctrl.schemes.arrival.way import seen_displacement
 
 #: Frames of named features that are judged together, at the target and here, and how long to
 #: wait for them (ticks).
 TAUGHT, _FRAMES, _WAIT = 9, 8, 16
+#: Starts nearer than this share of what is left at an end may be.
+_BEGINS = 0.75
+#: Starts turned by more than this may look far off and be near.
+_TURNED_RAD = math.radians(20.0)
 #: Between two views that are remembered, the robot has driven (m) or turned (rad) so far.
 _STEP_M, _STEP_RAD = 0.05, math.radians(10.0)
 
@@ -39,8 +45,10 @@ class ArrivalWatch(Observer):
             plan.mount.height_m,
             Tolerance(tolerance.position_m, math.radians(tolerance.heading_deg)),
         )
+        self._calibration = plan.camera
         self._forward = plan.mount.forward_m
         self._period = plan.period_s
+        self._within = plan.scenario.final.within_m
         self._last: Pose | None = None
         self._newest: tuple[Views, Pose] | None = None
 
@@ -62,6 +70,27 @@ class ArrivalWatch(Observer):
                 return
         self._last = camera
         self._check.pass_by(record.views, camera)
+
+    def begins_near(self, perception: Perception[Any], frame: Frame) -> bool:
+        """Return whether the robot starts where the image alone shall guide it.
+
+        How far that is without any scale, a usual scene's depth tells. A wrong image centre makes
+        a turn look like a way: where it may be that, a turn back on the spot will tell.
+        """
+        views = perception.update(frame)
+        left = seen_displacement(views)
+        if left is None:
+            return False
+        near = _BEGINS * self._within
+        if left.distance >= near and abs(left.pose.phi) > _TURNED_RAD:
+            centre = centre_of_turns(self._calibration, views.target, [views.current], views.sigma)
+            left = left if centre.far_off else seen_displacement(centre.corrected(views))
+        return left is not None and left.distance < near
+
+    def may_coincide(self, verdict: Verdict) -> bool:
+        """Return whether something is left that the image alone can close."""
+        near = verdict.left is not None and verdict.left.distance < self._within
+        return verdict.answer is not Answer.THERE and verdict.agree >= LEAST_SHARE and near
 
     def judge(self, backend: Backend) -> Verdict:
         """Take frames of the robot, which stands, and compare them with the target."""

@@ -128,6 +128,19 @@ class Approach(StrictModel):
     settle_s: Positive = 2.0
 
 
+class Final(StrictModel):
+    """The last decimetre by the image, where the arrival check finds something left.
+
+    within_m : farther off it does nothing. timeout_s : give up after this long.
+    """
+
+    enabled: bool = True
+    estimator: PluginChoice = PluginChoice()
+    controller: PluginChoice = PluginChoice()
+    within_m: Positive = 0.45
+    timeout_s: Positive = 150.0
+
+
 class SafetyOptions(StrictModel):
     """Bounds that hold for every run.
 
@@ -179,6 +192,7 @@ class Scenario(StrictModel):
     controller: PluginChoice = PluginChoice()
     obstacles: tuple[ProviderChoice, ...] = ()
     approach: Approach = Approach()
+    final: Final = Final()
     safety: SafetyOptions = SafetyOptions()
     tolerance: Tolerance = Tolerance()
     #: Options of the backends, by the backend's name.

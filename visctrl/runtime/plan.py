@@ -36,7 +36,7 @@ from visctrl.runtime.registry import (
 from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.schemes import scheme_named
 from visctrl.runtime.target_view import TargetView, load_target
-from visctrl.schemes import approach
+from visctrl.schemes import approach, arrival
 from visctrl.schemes.scheme import Scheme
 
 T = TypeVar("T")
@@ -82,6 +82,7 @@ class Plan:
     limits : bounds of speed and acceleration, None for an ideal robot.
     target : the target view, None where a simulated robot takes it itself.
     approach : the turn towards the target; None where the run goes without.
+    final : the last decimetre by the image; None where the run goes without.
     notes : what the user should know before it starts, a sentence each.
     """
 
@@ -96,6 +97,7 @@ class Plan:
     target: TargetView | None
     perception: Chosen[Perception[Any]]
     approach: StagePlan | None
+    final: StagePlan | None
     main: StagePlan
     notes: tuple[str, ...] = ()
 
@@ -148,9 +150,10 @@ class Plan:
         data["estimator"] = self.main.estimator.effective()
         data["controller"] = self.main.controller.effective()
         data["obstacles"] = [chosen.effective() for chosen in self.main.obstacles]
-        if self.approach is not None:
-            data["approach"]["estimator"] = self.approach.estimator.effective()
-            data["approach"]["controller"] = self.approach.controller.effective()
+        for name, stage in (("approach", self.approach), ("final", self.final)):
+            if stage is not None:
+                data[name]["estimator"] = stage.estimator.effective()
+                data[name]["controller"] = stage.controller.effective()
         data[self.scenario.backend] = self.backend_options.model_dump(mode="json")
         return data
 
@@ -190,6 +193,11 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         )
     perception, turn, main = _plugins(loaded, registries, scheme, backend)
     main = replace(main, obstacles=_providers(loaded, registries, main))
+    last = None
+    # It backs up without looking: not where something may stand in the way.
+    if scenario.final.enabled and not main.obstacles:
+        wish, names = scenario.final, (arrival.ESTIMATOR, arrival.CONTROLLER)
+        last = _stage(loaded, registries, wish.estimator, wish.controller, names, ("final",))
     if not backend.measures_ranges(robot, backend_options):
         _refuse_listeners(loaded, main)
     if "duration_s" not in scenario.model_fields_set:
@@ -206,6 +214,7 @@ def make_plan(loaded: LoadedScenario, registries: Registries = REGISTRIES) -> Pl
         target=target,
         perception=perception,
         approach=turn,
+        final=last,
         main=main,
         notes=(note,) if note else (),
     )

@@ -29,7 +29,7 @@ SUFFIXES = (
 #: Largest table that is read (bytes).
 MOST_BYTES = 512_000_000
 #: Stages of a run that can be replayed.
-STAGES = ("approach", "main")
+STAGES = ("approach", "main", "final")
 #: Longer numbers in file names are times, which have gaps by nature.
 _MOST_DIGITS = 8
 _NOWHERE = Pose(math.nan, math.nan, math.nan)

@@ -17,7 +17,7 @@ from visctrl.runtime.recording import Recording
 from visctrl.runtime.registry import REGISTRIES, Registries
 from visctrl.runtime.safety import effective_limits
 from visctrl.runtime.schemes import scheme_named
-from visctrl.schemes import approach
+from visctrl.schemes import approach, arrival
 
 #: Sections whose options belong to the plugin that they name.
 _SECTIONS = (
@@ -26,6 +26,8 @@ _SECTIONS = (
     ("controller",),
     ("approach", "estimator"),
     ("approach", "controller"),
+    ("final", "estimator"),
+    ("final", "controller"),
 )
 
 
@@ -51,10 +53,12 @@ class ReplayPlan:
         data["perception"] = self.perception.effective()
         data["estimator"] = self.estimators["main"].effective()
         data["approach"]["estimator"] = self.estimators["approach"].effective()
+        data["final"]["estimator"] = self.estimators["final"].effective()
         if (controller := self.controllers["main"]) is not None:
             data["controller"] = controller.effective()
-        if (controller := self.controllers["approach"]) is not None:
-            data["approach"]["controller"] = controller.effective()
+        for stage in ("approach", "final"):
+            if (controller := self.controllers[stage]) is not None:
+                data[stage]["controller"] = controller.effective()
         return data
 
 
@@ -121,7 +125,10 @@ def plan_replay(
     perception = choose(
         loaded, registries.perception, scenario.perception, scheme.perception, ("perception",)
     )
-    laws: dict[str, Chosen[Controller[Any, Any]] | None] = {"main": None, "approach": None}
+    path = ("final", "estimator")
+    last = choose(loaded, kinds, scenario.final.estimator, arrival.ESTIMATOR, path)
+    laws: dict[str, Chosen[Controller[Any, Any]] | None]
+    laws = {"main": None, "approach": None, "final": None}
     if recorded or named:
         steer = registries.controllers
         law = choose(loaded, steer, scenario.controller, scheme.controller, ("controller",))
@@ -131,7 +138,10 @@ def plan_replay(
             raise InputError(f"{loaded.origin_of('controller', 'name')}: {problem}")
         laws["main"] = None if misfit(main, law) else law
         laws["approach"] = None if misfit(turn, faces) else faces
-    estimators = {"main": main, "approach": turn}
+        path = ("final", "controller")
+        closes = choose(loaded, steer, scenario.final.controller, arrival.CONTROLLER, path)
+        laws["final"] = None if misfit(last, closes) else closes
+    estimators = {"main": main, "approach": turn, "final": last}
     return ReplayPlan(scenario, robot, mount, camera, context, perception, estimators, laws)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,38 +11,34 @@ from typing import Any, TypeVar
 
 from visctrl.contracts import Context, Match, Perception, Plugin
 from visctrl.hal.actuation import Limiter
-from visctrl.hal.errors import DeviceError
 from visctrl.hal.interfaces import Backend
 from visctrl.hal.types import Pose
-from visctrl.robots.errors import DiskError, InputError, VisctrlError
+from visctrl.robots.errors import DiskError, InputError
 from visctrl.robots.files import owner_only, writing
 from visctrl.runtime.arrival import TAUGHT, ArrivalWatch
 from visctrl.runtime.config import to_yaml
 from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
+from visctrl.runtime.ending import ended_by, settle
 from visctrl.runtime.images import ImageRecorder
-from visctrl.runtime.interrupts import Interrupted, Interrupts
+from visctrl.runtime.interrupts import Interrupts
 from visctrl.runtime.loop import Loop, Tally
 from visctrl.runtime.meter import Meter
-from visctrl.runtime.pipeline import PluginError, Stage, call_plugin
+from visctrl.runtime.pipeline import Stage, call_plugin
 from visctrl.runtime.plan import Chosen, Plan, StagePlan
 from visctrl.runtime.recorder import CONFIG, FAULT, Recorder, Reporting
 from visctrl.runtime.records import Observer
 from visctrl.runtime.run_directory import RunDirectory
 from visctrl.runtime.safety import Guard, LostError
-from visctrl.runtime.stop import StopRequest, StopRequested
-from visctrl.runtime.summary import FAULT as FAULTED
-from visctrl.runtime.summary import LOST, MISSED, STOPPED, End, Results, judge, summarise
-from visctrl.schemes.arrival.check import Verdict
+from visctrl.runtime.stop import StopRequest
+from visctrl.runtime.summary import MISSED, End, Results, judge, summarise
+from visctrl.schemes.arrival.check import Answer, Verdict
 from visctrl.threads import one_thread_of_algebra
 
 T = TypeVar("T")
 
-_KEYBOARD_INTERRUPT = 130
 #: Exit codes up to here are verdicts: reached, missed or lost.
 _VERDICT = 1
-#: Slower than this, the robot stands (m/s, rad/s).
-STANDING = (1e-3, 2e-3)
 
 
 @dataclass(frozen=True)
@@ -141,7 +136,7 @@ class _Session:
                     self._directory.discard()
                 raise
             except BaseException as error:
-                end = _ended_by(error)
+                end = ended_by(error)
             self._interrupts.ignore()
             return self._finish(end)
 
@@ -155,7 +150,7 @@ class _Session:
         except BaseException as error:
             if isinstance(error, InputError) and self._tally.ticks == 0:
                 raise
-            end = _ended_by(error)
+            end = ended_by(error)
         finally:
             self._interrupts.ignore()
             self._stop(backend)
@@ -174,6 +169,9 @@ class _Session:
         if plan.approach is not None:
             timeout = scenario.approach.timeout_s
             stages.insert(0, self._stage("approach", plan.approach, context, timeout))
+        final = None
+        if plan.final is not None:
+            final = self._stage("final", plan.final, context, scenario.final.timeout_s)
         for stage in stages:
             for name, provider in stage.obstacles.items():
                 expected = call_plugin(f"obstacle provider '{name}'", provider.expected)
@@ -183,7 +181,8 @@ class _Session:
                 )
         self._take_target(backend, perception)
         self._take_initial(backend, perception)
-        self._start_recording(stages, perception, backend.clock.lockstep)
+        everything = stages if final is None else [*stages, final]
+        self._start_recording(everything, perception, backend.clock.lockstep)
         limiter = Limiter(plan.limits, whole_units=backend.base.whole_units)
         loop = Loop(
             backend,
@@ -197,16 +196,32 @@ class _Session:
         )
         self._tally = loop.tally
         self._began = (backend.clock.now(), time.perf_counter())
-        finished = True
-        for stage in stages:
-            finished = self._run_stage(stage, loop, backend, perception)
-            if stage.name == "approach" and not finished:
-                waited = f"after {stage.duration:g} s"
-                return End(MISSED, f"the robot did not face the target {waited}", 1)
-        self._settle(backend)
+        finished = False
+        if final is not None and self._arrival.begins_near(perception, backend.camera.read()):
+            finished = self._coincide(final, loop, backend)
+            if not finished:
+                self._take_initial_again(backend, perception, "after the last decimetre was tried")
+        if not finished:
+            for stage in stages:
+                finished = self._run_stage(stage, loop, backend, perception)
+                if stage.name == "approach" and not finished:
+                    waited = f"after {stage.duration:g} s"
+                    return End(MISSED, f"the robot did not face the target {waited}", 1)
+            self._settle(backend)
+            self._verdict = self._arrival.judge(backend)
+            if final is not None and self._arrival.may_coincide(self._verdict):
+                finished = self._coincide(final, loop, backend) or finished
         self._stop_watches(backend)
-        self._verdict = self._arrival.judge(backend)
+        assert self._verdict is not None
         return judge(plan, finished, self._verdict, backend.collisions())
+
+    def _coincide(self, final: Stage, loop: Loop, backend: Backend) -> bool:
+        """Bring the image to coincide; return whether it does."""
+        final.estimator.reset()
+        loop.run(final)
+        self._settle(backend)
+        self._verdict = self._arrival.judge(backend)
+        return self._verdict.answer is Answer.THERE
 
     def _run_stage(
         self, stage: Stage, loop: Loop, backend: Backend, perception: Perception[Any]
@@ -217,11 +232,14 @@ class _Session:
         finished = loop.run(stage)
         if stage.name == "approach" and finished and loop.moved:
             self._settle(backend)
-            try:
-                self._take_initial(backend, perception)
-            except InputError as error:
-                raise LostError(f"after turning to the target: {error}") from error
+            self._take_initial_again(backend, perception, "after turning to the target")
         return finished
+
+    def _take_initial_again(self, backend: Backend, perception: Perception[Any], when: str) -> None:
+        try:
+            self._take_initial(backend, perception)
+        except InputError as error:
+            raise LostError(f"{when}: {error}") from error
 
     def _stage(self, name: str, plan: StagePlan, context: Context, duration: float) -> Stage:
         return Stage(
@@ -296,15 +314,7 @@ class _Session:
             observer.on_message(text)
 
     def _settle(self, backend: Backend) -> None:
-        """Wait until the robot stands: two odometry reports in a row, or the time allowed."""
-        clock, period = backend.clock, self._plan.period_s
-        deadline = clock.now() + self._plan.scenario.approach.settle_s
-        standing = 0
-        while standing < 2 and clock.now() < deadline:
-            clock.sleep_until(clock.now() + period)
-            velocity = backend.base.odometry().velocity
-            still = abs(velocity.v) < STANDING[0] and abs(velocity.omega) < STANDING[1]
-            standing = standing + 1 if still else 0
+        settle(backend, self._plan.period_s, self._plan.scenario.approach.settle_s)
 
     def _stop(self, backend: Backend) -> None:
         """Stop the base and the plugins; a failure is noted and stops nothing else."""
@@ -373,22 +383,3 @@ class _Session:
     def _dismiss(self, watcher: Observer) -> None:
         self._notes += watcher.on_end()
         watcher.close()
-
-
-def _ended_by(error: BaseException) -> End:
-    """Return what an exception makes of a run."""
-    if isinstance(error, Interrupted):
-        return End(STOPPED, str(error), error.exit_code)
-    if isinstance(error, StopRequested):
-        return End(STOPPED, str(error), _KEYBOARD_INTERRUPT)
-    if isinstance(error, KeyboardInterrupt):
-        return End(STOPPED, "stopped by Ctrl-C", _KEYBOARD_INTERRUPT)
-    if isinstance(error, LostError):
-        return End(LOST, str(error), 1)
-    if isinstance(error, PluginError):
-        return End(FAULTED, str(error), error.exit_code, error.details)
-    details = "".join(traceback.format_exception(error))
-    if isinstance(error, VisctrlError):
-        return End(FAULTED, str(error), DeviceError.exit_code, details)
-    reason = f"internal error: {type(error).__name__}: {error}"
-    return End(FAULTED, reason, DeviceError.exit_code, details)

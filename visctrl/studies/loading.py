@@ -155,7 +155,7 @@ def _build_plugins(plan: Plan) -> None:
     """Build the plugins as a run would: some look at more than their own options."""
     context = plan.context(lockstep=True)
     chosen: list[Chosen[Any]] = [plan.perception]
-    for stage in (plan.approach, plan.main):
+    for stage in (plan.approach, plan.main, plan.final):
         chosen += [] if stage is None else [stage.estimator, stage.controller]
     for choice in chosen:
         try:

@@ -9,13 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.contracts import Views
+from visctrl.contracts import Health, Views
 from visctrl.hal.types import Pose
+from visctrl.robots.unicycle import wrap_angle
 from visctrl.schemes.arrival.depths import Waypoint, measured_depths, relative_to
 from visctrl.schemes.arrival.displacement import (
     SCENE_SPREAD,
     Array,
     Depths,
+    Displacement,
     Mask,
     Sighting,
     displacement,
@@ -88,8 +90,11 @@ class WayDepths:
         return Depths(mean, SCENE_SPREAD * mean, unknown.floor, scale_sd)
 
 
-def depths_on_the_way(passed: Sequence[Passed]) -> WayDepths:
-    """Measure depths by bundle adjustment over a few of the views, the last one among them."""
+def depths_on_the_way(passed: Sequence[Passed], first: Pose | None = None) -> WayDepths:
+    """Measure depths by bundle adjustment over a few of the views, the last one among them.
+
+    first : where the last one was taken in the target's frame, about, if that is known.
+    """
     nothing = WayDepths(np.empty(0, dtype=np.int64), np.empty((0, 3)), Depths.unknown(0))
     if not passed or len(passed[-1].views) < _FEATURES:
         return nothing
@@ -105,16 +110,17 @@ def depths_on_the_way(passed: Sequence[Passed]) -> WayDepths:
     for index in chosen:
         rays = _at(last.ids, passed[index].views)
         if np.isfinite(rays[:, 0]).sum() >= _FEATURES:
-            earlier.append(Waypoint(_sighting(rays, last.sigma), ways[index]))
+            earlier.append(Waypoint(sighting(rays, last.sigma), ways[index]))
     if not earlier:
         return nothing
-    current = _sighting(last.current, last.sigma)
-    first = displacement(last.target, current).pose
+    current = sighting(last.current, last.sigma)
+    first = first or displacement(last.target, current).pose
     depths = measured_depths(last.target, current, earlier, first)
     return WayDepths(last.ids, last.target, depths)
 
 
-def _sighting(rays: Array, sigma: float) -> Sighting:
+def sighting(rays: Array, sigma: float) -> Sighting:
+    """Return rays (N, 3) whose directions are off by ``sigma`` (rad) each, as a view."""
     return Sighting(rays, np.broadcast_to(np.eye(2) / max(sigma, 1e-6), (len(rays), 2, 2)))
 
 
@@ -124,3 +130,23 @@ def _at(ids: NDArray[np.int64], views: Views) -> Array:
     _, here, there = np.intersect1d(ids, views.ids, assume_unique=True, return_indices=True)
     rays[here] = views.current[there]
     return rays
+
+
+def seen_displacement(
+    views: Views, depths: Depths | None = None, first: Pose | None = None
+) -> Displacement | None:
+    """Return the displacement between the current and the target view; None if nothing is seen.
+
+    first : where to begin; by default at the target, turned as most bearings are.
+    """
+    if views.health is Health.LOST or len(views) < _FEATURES:
+        return None
+    current = sighting(views.current, math.sqrt(2.0) * views.sigma)
+    return displacement(views.target, current, depths, first or _turned(views))
+
+
+def _turned(views: Views) -> Pose:
+    """Return the turn that most bearings agree on."""
+    now, then = (np.arctan2(rays[:, 0], rays[:, 1]) for rays in (views.current, views.target))
+    middle = float(np.angle(np.exp(1j * (now - then)).mean()))
+    return Pose(0.0, 0.0, middle + float(np.median(wrap_angle(now - then - middle))))
