@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+LIST, RUN = ["list"], ["run", "mock", "--duration", "2", "--quiet"]
 #: Folders of the repository whose names belong to other packages on the index.
 SHARED_NAMES = ("robots", "sim", "hal", "configs")
 
@@ -76,18 +77,18 @@ def environment(folder: Path, *arguments: str) -> Path:
     return programs
 
 
-def works(programs: Path, cwd: Path) -> None:
-    """The command lists what there is and runs, with foreign packages of the same names there."""
+def works(programs: Path, cwd: Path, *commands: list[str]) -> None:
+    """The commands do what they shall, with foreign packages of the same names there."""
     plain = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    for arguments in (["list"], ["run", "mock", "--duration", "2", "--quiet"]):
+    for arguments in commands:
         done = subprocess.run(
             [str(programs / "visctrl"), *arguments],
             cwd=cwd, capture_output=True, text=True, env=plain, check=False,
         )  # fmt: skip
         # Two seconds are too few to arrive: "missed" is 1, a broken installation a traceback.
-        assert done.returncode == (0 if arguments == ["list"] else 1), done.stderr
+        assert done.returncode == (0 if arguments == LIST else 1), done.stderr
         assert "Traceback" not in done.stderr
-        if arguments == ["list"]:
+        if arguments == LIST:
             assert all(word in done.stdout for word in ("p3dx", "hypercatadioptric", "trifocal"))
 
 
@@ -112,12 +113,12 @@ def test_a_wheel_of_the_source_archive_is_the_same(wheel: Path, tmp_path: Path) 
 def test_an_installed_wheel_survives_packages_of_the_same_names(
     wheel: Path, tmp_path: Path
 ) -> None:
-    works(environment(tmp_path / "env", str(wheel)), tmp_path)
+    works(environment(tmp_path / "env", str(wheel)), tmp_path, LIST, RUN)
 
 
 @pytest.mark.skipif(find_spec("editables") is None, reason="needs editables")
 def test_an_editable_installation_survives_packages_of_the_same_names(tmp_path: Path) -> None:
-    works(environment(tmp_path / "env", "--editable", str(ROOT)), tmp_path)
+    works(environment(tmp_path / "env", "--editable", str(ROOT)), tmp_path, RUN)
 
 
 def checkout(folder: Path) -> Path:

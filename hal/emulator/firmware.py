@@ -59,7 +59,7 @@ class Firmware:
 
     Parameters
     ----------
-    character : FirmwareProfile
+    profile : FirmwareProfile
         Which robot, and whose habits.
     start : Pose
         Pose of its axle's centre at time zero.
@@ -71,21 +71,21 @@ class Firmware:
 
     def __init__(
         self,
-        character: FirmwareProfile,
+        profile: FirmwareProfile,
         start: Pose = Pose(0.0, 0.0, 0.0),  # noqa: B008 -- immutable
         world: World | None = None,
         slip: Velocity = STANDSTILL,
     ) -> None:
-        self.character = character
+        self.profile = profile
         self.conditions = Conditions()
-        self.drive = _drive(character, start, slip)
+        self.drive = _drive(profile, start, slip)
         self.session = Session.WAITING
         self.motors = False
         #: When the wheels first turned, and since when they have been at rest (s).
         self.first_motion: float | None = None
         self.standing_since: float | None = 0.0
         self._world = world or OpenSpace()
-        self._reporter = Reporter(character, self._world)
+        self._reporter = Reporter(profile, self._world)
         self._expected = Id.PULSE
         self._emergency = False
         #: Rate of the host's line that a client has asked for (HOSTBAUD); None as delivered.
@@ -114,13 +114,13 @@ class Firmware:
     @property
     def asleep(self) -> bool:
         """Whether the watchdog holds the robot: it has heard nothing for too long."""
-        if self.session is not Session.OPEN or not self.character.personality.watchdog:
+        if self.session is not Session.OPEN or not self.profile.personality.watchdog:
             return False
-        return self._time - self._last_heard > (self.character.config.watchdog or 0) / 1e3
+        return self._time - self._last_heard > (self.profile.config.watchdog or 0) / 1e3
 
     @property
     def _cycle(self) -> float:
-        return (self.character.config.report_cycle or 100) / 1e3
+        return (self.profile.config.report_cycle or 100) / 1e3
 
     def _move(self) -> None:
         if self.conditions.e_stop:
@@ -176,14 +176,14 @@ class Firmware:
             return []
         if packet.id == Id.CLOSE:
             self.session, self._expected = Session.CONNECTED, Id.PULSE
-            return [Packet(Type.SYNC2, self.character.identity.encode()).encode()]
+            return [Packet(Type.SYNC2, self.profile.identity.encode()).encode()]
         self.session = Session.WAITING
         self._expected = Id(packet.id + 1)
         return [packet.encode()]
 
     def _begin(self) -> None:
         self.session = Session.OPEN
-        self.motors = self.character.personality.motors_at_open
+        self.motors = self.profile.personality.motors_at_open
         self.drive.rest()
         self._reporter.begin()
         self._last_heard = self._time
@@ -208,7 +208,7 @@ class Firmware:
             case Id.ENABLE:
                 self._switch_motors(bool(number))
             case Id.CONFIG:
-                return [self.character.config.packet().encode()]
+                return [self.profile.config.packet().encode()]
             case Id.SETO:
                 self.drive.reset_odometry()
                 self._reporter.reset_counters()
@@ -241,7 +241,7 @@ class Firmware:
             case Id.RVEL | Id.ROTATE:
                 self.drive.set_turn(math.radians(number))
             case Id.VEL2:
-                arcos = self.character.subclass.arcos
+                arcos = self.profile.subclass.arcos
                 left, right = (arcos.vel2_step_mm_s * wheel for wheel in vel2_wheels(number))
                 self.drive.set_speed((left + right) / 2e3)
                 self.drive.set_turn((right - left) / 2.0 * arcos.turn_per_difference)
@@ -271,7 +271,7 @@ class Firmware:
                 self.drive.set_ramps(**{f"turn_{kind}": math.radians(size)})
 
     def _tops(self, command: int) -> int:
-        config = self.character.config
+        config = self.profile.config
         tops = {
             Id.SETV: config.speed_top,
             Id.SETA: config.acceleration_top,
@@ -281,8 +281,8 @@ class Firmware:
         return tops[Id(command)] or 0
 
 
-def _drive(character: FirmwareProfile, start: Pose, slip: Velocity) -> Drive:
-    config = character.config
+def _drive(profile: FirmwareProfile, start: Pose, slip: Velocity) -> Drive:
+    config = profile.config
     translation = Ramps(
         (config.speed_max or 0) / 1e3,
         (config.acceleration or 0) / 1e3,

@@ -41,8 +41,8 @@ class Reporter:
     they assume, see the same steps.
     """
 
-    def __init__(self, character: FirmwareProfile, world: World) -> None:
-        self._character = character
+    def __init__(self, profile: FirmwareProfile, world: World) -> None:
+        self._profile = profile
         self._world = world
         self.contact = False
         self._streams: dict[int, bool] = {}
@@ -59,7 +59,7 @@ class Reporter:
         """Carry out SONAR, ENCODER or IOREQUEST."""
         if command == Id.SONAR:
             self._sonar = bool(number)
-            self._forgetful = self._sonar and self._character.personality.forgets_readings
+            self._forgetful = self._sonar and self._profile.personality.forgets_readings
             return []
         self._streams[command] = number > _ONCE
         return self._extra(command, drive) if number == _ONCE else []
@@ -82,7 +82,7 @@ class Reporter:
         return [Inputs(_DIGITAL_IN, b"\x00", (0,) * _ANALOG_INPUTS).packet().encode()]
 
     def _standard(self, drive: Drive, conditions: Conditions, motors: bool) -> StandardReport:
-        personality = self._character.personality
+        personality = self._profile.personality
         left, right = self._wheels(drive)
         x, y, theta = self._counters(drive.wheel_pose)
         stalled = conditions.stalled or self.contact
@@ -126,35 +126,35 @@ class Reporter:
 
     def _wheels(self, drive: Drive) -> tuple[int, int]:
         """Return the wheels' speeds (mm/s)."""
-        half = drive.velocity.omega / self._character.subclass.arcos.turn_per_difference
+        half = drive.velocity.omega / self._profile.subclass.arcos.turn_per_difference
         v = drive.velocity.v * 1e3
         return round(v - half), round(v + half)
 
     def _counters(self, pose: Pose) -> tuple[int, int, int]:
         forward, left, heading = to_rep103(pose).tolist()
-        unit = self._character.subclass.units.distance_mm / 1e3
-        step = self._character.personality.heading_step
+        unit = self._profile.subclass.units.distance_mm / 1e3
+        step = self._profile.personality.heading_step
         theta = round(heading / HEADING_RAD / step) * step
         x, y = round(forward / unit) & 0xFFFF, round(left / unit) & 0xFFFF
         return x, y, _signed(theta, 1 << 12)
 
     def _encoders(self, drive: Drive) -> Encoders:
-        per_mm = self._character.config.ticks_per_mm or 0
+        per_mm = self._profile.config.ticks_per_mm or 0
         forward, turned = drive.run
-        half = turned / self._character.subclass.arcos.turn_per_difference
+        half = turned / self._profile.subclass.arcos.turn_per_difference
         ticks = (round((forward * 1e3 + side * half) * per_mm) for side in (-1, 1))
         return Encoders(*(_signed(count, 1 << 32) for count in ticks))
 
     def _readings(self, pose: Pose) -> tuple[Reading, ...]:
         """Return the next readings: the transducers fire one after the other."""
-        ring = self._character.subclass.sonar
+        ring = self._profile.subclass.sonar
         if ring is None:
             return ()
         places = sorted(ring.transducers.items())
-        count = min(self._character.personality.sonar_per_report, len(places))
+        count = min(self._profile.personality.sonar_per_report, len(places))
         chosen = [(self._next_transducer + k) % len(places) for k in range(count)]
         self._next_transducer = (chosen[-1] + 1) % len(places)
-        unit = self._character.subclass.units.range_mm / 1e3
+        unit = self._profile.subclass.units.range_mm / 1e3
         return tuple(
             Reading(number, round(min(self._world.sonar(pose, at), ring.range_m) / unit))
             for number, at in (places[k] for k in chosen)

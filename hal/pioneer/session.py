@@ -168,6 +168,7 @@ class Session:
             raise InputError(
                 f"robot '{self._robot.name}' speaks no ARCOS: its robot.yaml has no section 'arcos'"
             )
+        self._link.after_pause = ()
         for _ in range(_CONTACTS):
             self.contact = contact = connect(self._link, self._bauds)
             name = contact.identity.subclass
@@ -178,12 +179,12 @@ class Session:
             telemetry = self.telemetry
             if telemetry is None or telemetry.subclass != subclass:
                 self.telemetry = telemetry = Telemetry(subclass)
-            # A robot whose watchdog has acted drives on with its old set-points as soon as any
-            # packet arrives: from here on, those are taken back first.
-            self._link.after_pause = REST
             if self._reports(telemetry, _FIRST_REPORT_S + contact.round_trip_s):
+                # A robot whose watchdog has acted drives on with its old set-points as soon as
+                # any packet arrives: from here on, those are taken back first. Not before: to a
+                # robot that waits for OPEN any other packet is the end of the exchange.
+                self._link.after_pause = REST
                 return telemetry
-            self._link.after_pause = ()
         raise LinkError(f"port {self._link.url}: the robot opens a session but never reports")
 
     def _reports(self, telemetry: Telemetry, patience: float) -> bool:

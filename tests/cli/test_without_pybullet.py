@@ -32,9 +32,7 @@ def without_pybullet(folder: Path, *arguments: str) -> subprocess.CompletedProce
     return done
 
 
-@pytest.mark.parametrize(
-    "arguments", [["list"], ["run", "mock", "--quiet"], ["doctor", "--quick"], ["config"]]
-)
+@pytest.mark.parametrize("arguments", [["run", "mock", "--quiet"], ["doctor", "--quick"]])
 def test_what_needs_no_physics_works(tmp_path: Path, arguments: list[str]) -> None:
     done = without_pybullet(tmp_path, *arguments)
     assert done.returncode == 0, done.stderr

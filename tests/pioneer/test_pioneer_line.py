@@ -76,7 +76,7 @@ def test_sessions_open_on_a_line_that_damages_bytes_in_both_directions(bench: Ma
 
 
 @pytest.mark.parametrize("kind", ["pty", "socket"])
-@pytest.mark.parametrize("round_trip", [0.4, 0.9])
+@pytest.mark.parametrize("round_trip", [0.4, 1.0])
 def test_slow_lines_are_told_and_borne(
     bench: MakeBench, caplog: pytest.LogCaptureFixture, kind: str, round_trip: float
 ) -> None:
@@ -107,8 +107,8 @@ def test_a_quick_line_is_not_called_slow(
 def test_reports_of_another_cycle_do_not_brake_the_robot(bench: MakeBench, cycle_ms: int) -> None:
     it = bench()
     firmware = it.robot._firmware
-    config = replace(firmware.character.config, report_cycle=cycle_ms)
-    firmware.character = replace(firmware.character, config=config)
+    config = replace(firmware.profile.config, report_cycle=cycle_ms)
+    firmware.profile = replace(firmware.profile, config=config)
     base = it.base()
     base.open()
     try:
@@ -162,8 +162,8 @@ def test_what_a_line_can_carry(bench: MakeBench, caplog: pytest.LogCaptureFixtur
 def full_line(it: Any, auto_baud: int = 2, cycle_ms: int = 40) -> Any:
     """Let the robot's end have a rate, and reports that fill it."""
     firmware = it.robot._firmware
-    config = replace(firmware.character.config, auto_baud=auto_baud, report_cycle=cycle_ms)
-    firmware.character = replace(firmware.character, config=config)
+    config = replace(firmware.profile.config, auto_baud=auto_baud, report_cycle=cycle_ms)
+    firmware.profile = replace(firmware.profile, config=config)
     line = it.site.line(it.robot)
     line.baud = 9600
     return line
