@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from visctrl.cli.options import RecordOption, SharedOption, WorkersOption, finite
+from visctrl.cli.options import RecordOption, RunsOption, SharedOption, WorkersOption, finite
 
 _INTERRUPTED = 130
 
@@ -67,6 +67,7 @@ def reproduce_command(
     ] = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Results.")] = Path("runs/reproduce"),
     workers: WorkersOption = None,
+    runs: RunsOption = None,
     record: RecordOption = None,
 ) -> None:
     """Run published tables and figures again; exit code 0 only if no judged row falls short."""
@@ -78,7 +79,7 @@ def reproduce_command(
     _begin_workers()
     from visctrl.cli.reproduce import reproduce
 
-    raise typer.Exit(reproduce(names or [], out, workers, as_json=as_json, record=record))
+    raise typer.Exit(reproduce(names or [], out, workers, runs, as_json=as_json, record=record))
 
 
 def observability_command(

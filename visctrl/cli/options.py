@@ -121,6 +121,10 @@ RealtimeOption = Annotated[
         help="Simulate on the wall clock.",
     ),
 ]
+RunsOption = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Runs of every cell, of entries that have cells."),
+]
 RecordOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write all that was run into --out as one page.")
 ]

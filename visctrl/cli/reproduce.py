@@ -28,12 +28,20 @@ def show_entries() -> None:
 
 
 def reproduce(
-    names: list[str], out: Path, workers: int | None, *, as_json: bool, record: Path | None = None
+    names: list[str],
+    out: Path,
+    workers: int | None,
+    repeats: int | None = None,
+    *,
+    as_json: bool,
+    record: Path | None = None,
 ) -> int:
     """Run entries; return 0 if no judged row falls short, else 1.
 
     Parameters
     ----------
+    repeats : int or None
+        Runs of every cell, for entries that have cells; None for as many as these want.
     record : Path or None
         Also write the page of everything that has been run into ``out``, now or earlier.
 
@@ -55,7 +63,7 @@ def reproduce(
         whole = bar.add_task("entries", total=len(chosen))
         for entry in chosen:
             began = time.perf_counter()
-            rows = _run(entry, out, workers or default_workers(), bar)
+            rows = _run(entry, out, workers or default_workers(), repeats, bar)
             bar.advance(whole)
             result = {
                 "name": entry.name,
@@ -74,7 +82,7 @@ def reproduce(
     return 0 if all(result["ok"] for result in results) else 1
 
 
-def _run(entry: Entry, out: Path, workers: int, bar: Progress) -> list[Row]:
+def _run(entry: Entry, out: Path, workers: int, repeats: int | None, bar: Progress) -> list[Row]:
     task = bar.add_task(entry.name, total=None)
 
     def announce(total: int, done: int) -> None:
@@ -82,7 +90,7 @@ def _run(entry: Entry, out: Path, workers: int, bar: Progress) -> list[Row]:
         if not bar.console.is_terminal:  # a log shows no bar
             bar.console.print(f"{entry.name}: {done} of {total} runs", highlight=False)
 
-    return entry.run(Bench(out / entry.name, workers, announce))
+    return entry.run(Bench(out / entry.name, workers, announce, repeats))
 
 
 def _show(entry: Entry, rows: list[Row], out: Path) -> None:

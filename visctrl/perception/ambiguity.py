@@ -7,24 +7,25 @@ do not tell: a false motion along a row of pillars has more of all than the trut
 - a *rival*: another motion that distinctive features agree with (`rival_views`);
 - the *plane's alias*: another motion with which the same pairs agree (`rival_motion`);
 - the *agreement*: the residuals against what the patches' own noise explains, never against
-  their own median. What a wrong calibration would explain is taken out before.
+  their own median. Where a wrong calibration explains them (`calibration_doubt`), the motion is
+  off, but the place is the right one.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from visctrl.contracts import MatchedMotion
-from visctrl.geometry.robust.scale import MAD_TO_SD
+from visctrl.geometry.robust.scale import mad_sd
 from visctrl.geometry.two_view.degeneracy import Degeneracy
 from visctrl.geometry.two_view.planar import PlanarMotion, sampson_residuals
 from visctrl.geometry.two_view.rivals import rival_motion
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.errors import InputError
+from visctrl.perception.calibration_doubt import explained_by_calibration
 from visctrl.perception.matching import Described
 from visctrl.perception.patch_alignment import Source
 from visctrl.perception.patch_noise import position_deviations
@@ -45,12 +46,8 @@ FEWEST_DISTINCTIVE, REPEATED = 12, 0.28
 #: What surfaces that are not quite flat add to a position's deviation (px).
 _UNEVEN_PX = 0.04
 _SIGMA_PX = 0.2
-#: What a calibration may be wrong by, and the robot be tilted by between two views: centre (share
-#: of the width), tilt (rad), scale.
-_CENTRE, _TILT, _SCALE = 0.025, math.radians(1.5), 0.1
-_STEPS, _HUBER = 6, 1.5
-#: Features that say something, and that five faults may be fitted to without explaining all away.
-_FEWEST, _ENOUGH = 12, 60
+#: Features that say something.
+_FEWEST = 12
 
 
 class AmbiguousMatchError(InputError):
@@ -69,7 +66,8 @@ class Evidence:
     distinctive, repeated : features that agree and have no double in the target view; the share
         of those that have one.
     rivals : distinctive features that agree with another motion. alias : whether a plane has one.
-    disagreement : median residual in its own standard deviations.
+    disagreement : median residual in its own standard deviations. calibration : whether it is
+    a wrong calibration that explains the disagreement.
     """
 
     motion: PlanarMotion
@@ -78,6 +76,7 @@ class Evidence:
     rivals: int
     alias: bool
     disagreement: float
+    calibration: bool = False
 
     @property
     def matched(self) -> MatchedMotion:
@@ -93,6 +92,8 @@ class Evidence:
                 f"only {self.distinctive} features are unlike all others in the target image: "
                 "this place repeats itself; put up something that it has only once"
             )
+        if self.calibration:
+            return ""
         if self.rivals >= max(FEWEST_RIVALS, RIVAL_SHARE * self.distinctive):
             return (
                 f"another place explains {self.rivals} features as well ({self.distinctive} agree "
@@ -107,8 +108,8 @@ class Evidence:
         if self.disagreement > MOST_DISAGREEMENT:
             return (
                 f"the features disagree by {self.disagreement:.1f} times their noise (at most "
-                f"{MOST_DISAGREEMENT:g}): things were moved since the target was taken, or the "
-                "match is wrong; take the target again, or start nearer to it"
+                f"{MOST_DISAGREEMENT:g}): things were moved since the target was taken, the camera "
+                "is badly calibrated, or the match is wrong; take the target again, or start nearer"
             )
         return ""
 
@@ -116,6 +117,7 @@ class Evidence:
 def weigh(
     target: tuple[Picture, Described],
     initial: tuple[Picture, Described],
+    mutual: tuple[Indices, Indices],
     pairs: tuple[Indices, Indices],
     points: Array,
     aligned: Mask,
@@ -130,6 +132,8 @@ def weigh(
     ----------
     target, initial : (Picture, Described)
         All features of both views.
+    mutual : two (M,) arrays
+        Numbers of the features that are each other's best match, in the target and initial view.
     pairs : two (N,) arrays
         Numbers of the features that agree with the motion, in the target and the initial view.
     points : (N, 2)
@@ -163,71 +167,31 @@ def weigh(
         double,
         seed,
     )
+    disagree = disagreement(rays_a[aligned], rays_b[aligned], motion, sigma[aligned])
+    excused = disagree > MOST_DISAGREEMENT and explained_by_calibration(
+        a.rays[mutual[0]], b.rays[mutual[1]], canvas, camera, seed
+    )
     return Evidence(
         motion=motion,
-        distinctive=int(np.count_nonzero(sure & unlike)),
+        # A wrong calibration leaves few that are sure, though many are right.
+        distinctive=int(np.count_nonzero(unlike & (aligned if excused else sure))),
         repeated=float(np.mean(~unlike)) if len(unlike) else 1.0,
         rivals=0 if rival is None else len(rival.features),
         alias=_has_alias(rays_a, rays_b, motion, canvas, seed),
-        disagreement=disagreement(rays_a[aligned], rays_b[aligned], motion, sigma[aligned], camera),
+        disagreement=disagree,
+        calibration=excused,
     )
 
 
-def disagreement(
-    rays_a: Array, rays_b: Array, motion: PlanarMotion, sigma: Array, camera: CentralCamera
-) -> float:
+def disagreement(rays_a: Array, rays_b: Array, motion: PlanarMotion, sigma: Array) -> float:
     """Return the median residual of features over their own deviations ``sigma`` (N,) (rad).
 
-    1 is noise. Of many features, what a wrong image centre, tilt or scale would explain, within
-    what calibrations are wrong by, is taken out: a reason to calibrate, not to doubt the place.
+    1 is noise; 0 where there are too few to tell.
     """
     if len(rays_a) < _FEWEST:
         return 0.0
-    if len(rays_a) < _ENOUGH:
-        residual, _ = sampson_residuals(rays_a, rays_b, motion.phi, motion.direction)
-        return float(MAD_TO_SD * np.median(np.abs(residual / sigma)))
-    views = _Faulty(rays_a, rays_b, camera)
-
-    def scaled(x: Array) -> Array:
-        a, b = views.rays(x[2:])
-        # Pixels that a fault would move out of the image say nothing of it.
-        return np.nan_to_num(sampson_residuals(a, b, x[0], x[1])[0] / sigma)
-
-    x = np.array([motion.phi, motion.direction, *np.zeros(5)])
-    at, prior = x.copy(), np.array([0.0, 0.0, *np.ones(5)])
-    steps = np.array([1e-5, 1e-5, *np.full(5, 1e-3)])
-    for _ in range(_STEPS):
-        left = scaled(x)
-        J = np.stack(
-            [(scaled(x + h * e) - left) / h for h, e in zip(steps, np.eye(7), strict=True)], axis=1
-        )
-        weighted = J / np.maximum(1.0, np.abs(left) / _HUBER)[:, None]
-        H = weighted.T @ J + np.diag(prior + 1e-9)
-        x = x - np.linalg.solve(H, weighted.T @ left + prior * (x - at))
-    return float(MAD_TO_SD * np.median(np.abs(scaled(x))))
-
-
-class _Faulty:
-    """Rays of two views as a camera with other faults would have given them.
-
-    The faults are the image centre's column and row, the robot's tilt between the views about
-    its right and its forward axis, and the image's scale, each in its standard deviation.
-    """
-
-    def __init__(self, rays_a: Array, rays_b: Array, camera: CentralCamera) -> None:
-        self._camera = camera
-        self._pixels = [camera.robot_pixels(rays)[0] for rays in (rays_a, rays_b)]
-        self._middle = np.array([camera.width - 1.0, camera.height - 1.0]) / 2.0
-
-    def rays(self, faults: Array) -> tuple[Array, Array]:
-        """Return the rays (N, 3) of both views for faults (5,)."""
-        shift = _CENTRE * self._camera.width * faults[:2]
-        scale = 1.0 + _SCALE * faults[4]
-        a, b = (
-            self._camera.robot_rays(self._middle + scale * (pixels - self._middle) + shift)[0]
-            for pixels in self._pixels
-        )
-        return a, b + np.cross([_TILT * faults[2], _TILT * faults[3], 0.0], b)
+    residual, _ = sampson_residuals(rays_a, rays_b, motion.phi, motion.direction)
+    return mad_sd(residual / sigma)
 
 
 def _has_alias(

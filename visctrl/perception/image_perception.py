@@ -59,6 +59,16 @@ class ImagePerception(Perception[ImagePerceptionT]):
         self._target: tuple[Picture, Described] | None = None
         self._landmarks: Landmarks | None = None
         self._last: tuple[int, Views] | None = None
+        self._calibration_doubtful = False
+
+    def notes(self) -> Sequence[str]:
+        """Say so if the camera seems to be calibrated wrongly."""
+        if not self._calibration_doubtful:
+            return ()
+        return (
+            "the first match fits another image centre, tilt or scale much better than the "
+            "camera's calibration: check that with `visctrl calibrate`",
+        )
 
     def set_target(self, frames: Sequence[Frame]) -> None:
         """Take the target view (see `Perception.set_target`)."""
@@ -102,6 +112,7 @@ class ImagePerception(Perception[ImagePerceptionT]):
             raise AmbiguousMatchError(
                 f"the start cannot be told for certain: {evidence.objection}", evidence.matched
             )
+        self._calibration_doubtful |= evidence.calibration
         self._landmarks = shared.landmarks
         self._last = None
         self._begin(picture, shared.landmarks)

@@ -112,6 +112,7 @@ def find_landmarks(
     evidence = weigh(
         target,
         initial,
+        (first, second),
         (pairs[0][agree], pairs[1][agree]),
         points[agree],
         good[agree],

@@ -22,6 +22,9 @@ _RESIDUAL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 _RESIDUAL_NORM = 6.0
 #: Noise of rounding to whole grey levels, and of what interpolation leaves (grey levels).
 _LEAST_NOISE = 0.5
+#: Variance of the gradient of unit noise: of a Sobel filter over 8 (12/64), less what
+#: interpolation takes from the noise.
+_NOISE_GRADIENT = 0.13
 #: Share of a patch's pixels that count, weighted as the alignment weights them.
 _EFFECTIVE = 0.6
 
@@ -59,5 +62,7 @@ def position_deviations(image: Grey, canvas: Canvas, points: Array) -> Array:
     column, row = np.rint(points).astype(np.intp).T
     at = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
     xx, xy, yy = (_EFFECTIVE * side**2 * np.asarray(s, dtype=np.float64)[at] for s in sums)
+    # The noise has gradients of its own, which locate nothing.
     weakest = (xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)
-    return np.asarray(noise / np.sqrt(np.maximum(weakest, 1e-3)), dtype=np.float64)
+    weakest -= _EFFECTIVE * side**2 * _NOISE_GRADIENT * noise**2
+    return np.asarray(noise / np.sqrt(np.maximum(weakest, 1.0)), dtype=np.float64)

@@ -182,6 +182,11 @@ _ENTRIES = (
         "visctrl.reproduce.chapter4_figures:robot_4_8",
     ),
     Entry(
+        "adverse",
+        "51 adverse cells, three schemes: success, false success, doubt (the project's own)",
+        "visctrl.reproduce.adverse:adverse",
+    ),
+    Entry(
         "matches",
         "first matches in 42 worlds, wrong ones and needless refusals (the project's own)",
         "visctrl.reproduce.matches:matches",

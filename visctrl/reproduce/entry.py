@@ -55,11 +55,13 @@ class Bench:
     out : the entry's own folder, for plots and tables.
     workers : processes at a time.
     announce : told how many runs there are in all and how many are done.
+    repeats : runs of every cell, for the entries that have cells; None for as many as they want.
     """
 
     out: Path
     workers: int
     announce: Callable[[int, int], None] = field(default=lambda total, done: None)
+    repeats: int | None = None
 
     def run(
         self, runs: Sequence[RunSpec], work: Callable[[RunSpec], dict[str, Any]] = drive

@@ -10,7 +10,7 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from visctrl.perception.ambiguity import AmbiguousMatchError
 from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.robots.errors import InputError
 from visctrl.robots.unicycle import wrap_angle
+from visctrl.sim.world.scene import Arena
 from visctrl.studies.run_spec import RunSpec
 
 #: A motion is wrong beyond these errors of heading and of the bearing of the start (deg), and
@@ -74,8 +75,9 @@ def cases() -> list[Case]:
 
 
 def matches(bench: Bench) -> list[Row]:
-    """Match `PAIRS` starts a world and width; return how many were wrong or needlessly refused."""
-    runs = [_spec(case, width) for case in cases() for width in WIDTHS]
+    """Match starts in every world at both widths; count what was wrong or needlessly refused."""
+    count = bench.repeats or PAIRS
+    runs = [_spec(case, width, count) for case in cases() for width in WIDTHS]
     pairs = [pair for result in bench.run(runs, match_world) for pair in result["pairs"]]
     _write(bench, pairs)
     rows = []
@@ -102,22 +104,25 @@ def match_world(run: RunSpec) -> dict[str, Any]:
     scene = backend.scene()
     now = changed(scene, backend.setup.options.changes)
     perception = plan.perception.build(plan.context(lockstep=True))
-    with closing(perception):
-        with closing(open_eye(backend.setup, scene, Changes())) as eye:
-            perception.set_target([eye.photograph(0.0, Pose(0.0, 0.0, 0.0), moving=False)])
-        with closing(open_eye(backend.setup, now, Changes())) as eye:
-            pairs = [
-                {
-                    "world": scene.name,
-                    "kind": plan.scenario.title,
-                    "width": plan.camera.width,
-                    "x_m": start.x,
-                    "y_m": start.y,
-                    "phi_deg": math.degrees(start.phi),
-                    **_outcome(perception, eye.photograph(1.0 + k, start, moving=False), start),
-                }
-                for k, start in enumerate(_starts(scene.arena.x_m, scene.arena.y_m))
-            ]
+    with ExitStack() as open_things:
+        open_things.callback(perception.close)
+        then = open_things.enter_context(closing(open_eye(backend.setup, scene, Changes())))
+        here = then
+        if now != scene:
+            here = open_things.enter_context(closing(open_eye(backend.setup, now, Changes())))
+        perception.set_target([then.photograph(0.0, Pose(0.0, 0.0, 0.0), moving=False)])
+        pairs = [
+            {
+                "world": scene.name,
+                "kind": plan.scenario.title,
+                "width": plan.camera.width,
+                "x_m": start.x,
+                "y_m": start.y,
+                "phi_deg": math.degrees(start.phi),
+                **_outcome(perception, here.photograph(1.0 + k, start, moving=False), start),
+            }
+            for k, start in enumerate(_starts(scene.arena, int(run.values["pairs"])))
+        ]
     return {"pairs": pairs}
 
 
@@ -154,15 +159,16 @@ def _wrong(result: Mapping[str, float]) -> bool:
     )
 
 
-def _starts(x: tuple[float, float], y: tuple[float, float]) -> list[Pose]:
+def _starts(arena: Arena, count: int) -> list[Pose]:
     """Return starts in an arena, the same for every world that has one like it."""
     rng = np.random.default_rng([SEED, 5])
-    low, high = np.array([x[0], y[0], -PHI_DEG]), np.array([x[1], -NEAREST_M, PHI_DEG])
-    drawn = rng.uniform(low, high, (PAIRS, 3)).tolist()
+    low = np.array([arena.x_m[0], arena.y_m[0], -PHI_DEG])
+    high = np.array([arena.x_m[1], -NEAREST_M, PHI_DEG])
+    drawn = rng.uniform(low, high, (count, 3)).tolist()
     return [Pose(a, b, math.radians(c)) for a, b, c in drawn]
 
 
-def _spec(case: Case, width: int) -> RunSpec:
+def _spec(case: Case, width: int, count: int) -> RunSpec:
     moved = ("sim.changes.moved=0.5", f"sim.changes.seed={SEED}") if case.kind == HALF else ()
     named = f"sim.scene='{case.world}'"
     return RunSpec(
@@ -175,6 +181,7 @@ def _spec(case: Case, width: int) -> RunSpec:
             f"seed={SEED}",
             *moved,
         ),
+        values={"pairs": count},
     )
 
 
