@@ -102,8 +102,8 @@ class Evidence:
             )
         if self.alias:
             return (
-                "all features lie in one plane or one direction, which more than one place "
-                "explains: choose a target that sees depth, or start elsewhere"
+                "all features lie in one plane, which two places explain alike: choose a target "
+                "that sees depth, or start elsewhere"
             )
         if self.disagreement > MOST_DISAGREEMENT:
             return (
@@ -199,12 +199,13 @@ def _has_alias(
 ) -> bool:
     """Return whether another motion explains the same pairs, as it does those of a plane.
 
-    Or a whole family of motions, where the pairs do not determine one. Two views of one place
-    have no second one: their baseline is not determined, and nothing is wrong with that.
+    Two views of one place have no alias: their baseline is not determined, and nothing is wrong
+    with that.
     """
     if motion.degeneracy is Degeneracy.IDENTICAL:
         return False
     if not motion.determined:
-        return True
+        # Its deviation, infinite, would hide every alias.
+        motion = replace(motion, covariance=np.zeros((2, 2)))
     motion = replace(motion, inliers=np.ones(len(rays_a), dtype=np.bool_))
     return rival_motion(rays_a, rays_b, motion, _SIGMA_PX / canvas.scale, seed=seed) is not None
