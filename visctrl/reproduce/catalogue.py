@@ -183,7 +183,7 @@ _ENTRIES = (
     ),
     Entry(
         "adverse",
-        "51 adverse cells, three schemes: success, false success, doubt (the project's own)",
+        "52 adverse cells, three schemes: success, false success, doubt (the project's own)",
         "visctrl.reproduce.adverse:adverse",
     ),
     Entry(
