@@ -15,6 +15,7 @@ import ctypes
 import json
 import math
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -115,6 +116,8 @@ class Straight(Controller[NoOptions, Estimate]):
             time.sleep(60.0)
         if os.path.exists("hold"):
             ctypes.PyDLL(None).sleep(60)  # without giving the interpreter's lock away
+        if os.path.exists("regex"):
+            re.match(r"(a+)+$", "a" * 60 + "b")  # likewise, for ages
         if os.path.exists("raise"):
             raise ZeroDivisionError("as told")
         if os.path.exists("nan"):
@@ -174,8 +177,8 @@ CASES = (
     Case("signal HUP", lambda scene: scene.signal(signal.SIGHUP)),
     Case("signal QUIT", lambda scene: scene.signal(signal.SIGQUIT)),
     Case("signal TSTP", lambda scene: scene.signal(signal.SIGTSTP)),
-    Case("signal STOP", lambda scene: scene.signal(signal.SIGSTOP), WATCHDOG_S),
-    Case("signal KILL", lambda scene: scene.signal(signal.SIGKILL), WATCHDOG_S),
+    Case("signal STOP", lambda scene: scene.signal(signal.SIGSTOP)),
+    Case("signal KILL", lambda scene: scene.signal(signal.SIGKILL)),
     Case("STOP on the page", Scene.press_stop),
     Case("output closed", Scene.close_pipes, None),
     Case("disk full", Scene.fill_disk),
@@ -183,6 +186,7 @@ CASES = (
     Case("plugin asks for NaN", lambda scene: scene.tell("nan")),
     Case("plugin sleeps", lambda scene: scene.tell("sleep")),
     Case("plugin holds the lock", lambda scene: scene.tell("hold")),
+    Case("plugin backtracks", lambda scene: scene.tell("regex")),
     Case("robot silent", _fault("silent")),
     Case("robot deaf", _fault("deaf"), WATCHDOG_S),
     Case("robot reset", _fault("reset")),
@@ -205,7 +209,7 @@ class Result:
 
 def measure(case: Case, folder: Path) -> Result:
     """Drive, let it happen, and watch until the wheels rest."""
-    for name in ("sleep", "hold", "raise", "nan"):
+    for name in ("sleep", "hold", "regex", "raise", "nan"):
         (folder / name).unlink(missing_ok=True)
     subclass = emulated("p3dx-sh")
     firmware = Firmware(profile(subclass, PERSONALITIES["arcos"]))

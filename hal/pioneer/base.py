@@ -3,7 +3,8 @@
 A thread of the driver reads the reports and watches. It stops the robot when reports stop
 coming, when the robot reports a fault, and when nobody has commanded a moving robot for too
 long; it feeds the firmware's watchdog only while the robot stands still. So whatever dies, the
-robot stops: the caller (the thread stops it), the process (the firmware does), the line (both).
+robot stops: the caller (the thread stops it), the process (its guardian stops it, a process of
+its own), the line (thread and firmware).
 """
 
 from __future__ import annotations
@@ -21,15 +22,13 @@ from visctrl.hal.pioneer.config import Config
 from visctrl.hal.pioneer.handshake import BAUDS
 from visctrl.hal.pioneer.link import Link
 from visctrl.hal.pioneer.reports import Identity
-from visctrl.hal.pioneer.session import Session
-from visctrl.hal.pioneer.settings import REST
+from visctrl.hal.pioneer.session import UNATTENDED_S, Session
+from visctrl.hal.pioneer.settings import BRAKE
 from visctrl.hal.pioneer.telemetry import Telemetry
 from visctrl.hal.pioneer.timing import LineLoad
 from visctrl.hal.types import STANDSTILL, BaseStatus, Odometry, Range, Velocity
 from visctrl.robots import Limits, Robot
 
-#: A moving robot that has not been commanded for so long is stopped.
-UNATTENDED_S = 0.4
 #: Longest pause between packets; also how often a standing robot's watchdog is fed.
 PULSE_S = 0.5
 
@@ -231,7 +230,8 @@ class PioneerBase(Base):
         with self._motion:
             self._set_point = STANDSTILL
             if not self._away.is_set():  # else it is stopped before anything else is sent
-                self._send(Command(Id.E_STOP), *REST)
+                self._send(*BRAKE)
+                self._link.beat(moving=False)
 
     def echoes(self, max_age_s: float = 1.0) -> dict[int, float]:
         """Return the sonar ranges (m) of the last ``max_age_s``, by transducer number."""
@@ -336,7 +336,12 @@ class PioneerBase(Base):
 
     def _send_set_point(self, velocity: Velocity) -> None:
         speed, turn = round(velocity.v * 1e3), round(math.degrees(velocity.omega))
+        moving = velocity != STANDSTILL
+        if moving:  # the guardian knows before the robot does
+            self._link.beat(moving=True)
         self._send(Command(Id.VEL, speed), Command(Id.RVEL, turn))
+        if not moving:
+            self._link.beat(moving=False)
         now = self._clock.now()
         if _idle(self._set_point):
             self._obeyed_at = now

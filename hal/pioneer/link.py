@@ -6,7 +6,7 @@ import errno
 import logging
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from urllib.parse import urlsplit
 
@@ -15,6 +15,7 @@ import serial
 from visctrl.hal.errors import LinkError
 from visctrl.hal.interfaces import Clock
 from visctrl.hal.pioneer.commands import Command
+from visctrl.hal.pioneer.guardian import Guardian
 from visctrl.hal.pioneer.packet import Packet, StreamDecoder
 
 #: Least time between two commands (s). The firmware reads one per millisecond interrupt and the
@@ -59,6 +60,7 @@ class Link:
         self._clock = clock
         self._port: serial.Serial | None = None
         self._decoder = StreamDecoder()
+        self._guardian: Guardian | None = None
         self._sending = threading.Lock()
         #: Set to let whoever waits in `receive_for` give up.
         self.abandoned = threading.Event()
@@ -90,8 +92,53 @@ class Link:
             raise LinkError(f"port {self.url}: {_why(error)}") from error
         _send_at_once(self._port)
 
+    def guard(self, stop: Sequence[Command], timeout: float) -> None:
+        """Have a process of its own send ``stop`` when this one cannot (see `Guardian`).
+
+        It needs a line that processes can share, a terminal or a socket; that there is none is
+        logged.
+        """
+        if self._guardian is not None:
+            return
+        try:
+            with self._guarded() as port:
+                line = port.fileno()
+        except (LinkError, AttributeError):
+            _log.warning(
+                "%s cannot be shared with a second process: if this one is killed or held up, "
+                "only the robot's own watchdog stops it",
+                self.url,
+            )
+            return
+        try:
+            self._guardian = Guardian(line, [each.encode() for each in stop], timeout)
+        except OSError as error:
+            _log.warning(
+                "no second process guards the robot (%s): if this one is killed or held up, only "
+                "the robot's own watchdog stops it",
+                error,
+            )
+
+    def beat(self, *, moving: bool) -> None:
+        """Tell the guardian that the robot is commanded (see `Guardian.beat`).
+
+        Raises
+        ------
+        LinkError
+            The robot is to move, and its guardian has ended.
+        """
+        if self._guardian is not None and not self._guardian.beat(moving=moving) and moving:
+            raise LinkError(self._unguarded)
+
+    @property
+    def _unguarded(self) -> str:
+        return f"port {self.url}: the process that guards the robot has ended"
+
     def close(self) -> None:
         """Close the port. Safe to call twice."""
+        if self._guardian is not None:
+            guardian, self._guardian = self._guardian, None
+            guardian.close()
         if self._port is not None:
             port, self._port = self._port, None
             try:
@@ -164,8 +211,10 @@ class Link:
         Raises
         ------
         LinkError
-            The port is gone.
+            The port is gone, or the process that guards the robot.
         """
+        if self._guardian is not None and self._guardian.lost:
+            raise LinkError(self._unguarded)
         with self._guarded() as port:
             data = port.read(self._decoder.wanted)
         return self._decoder.feed(data, self._clock.now())

@@ -23,11 +23,14 @@ from visctrl.hal.pioneer.reports import (
     decode_standard_report,
     is_standard_report,
 )
-from visctrl.hal.pioneer.settings import REST, settings
+from visctrl.hal.pioneer.settings import BRAKE, REST, settings
 from visctrl.hal.pioneer.subclasses import expected_subclass, find_subclass, subclasses_of
 from visctrl.hal.pioneer.telemetry import Telemetry
 from visctrl.hal.pioneer.timing import SLOW_S, LineLoad, Timing
 from visctrl.robots import Limits, Robot
+
+#: A moving robot that has not been commanded for so long is stopped.
+UNATTENDED_S = 0.4
 
 _OPEN_TRIES, _FIRST_REPORT_S = 6, 0.4
 _CONTACTS = 3
@@ -103,6 +106,7 @@ class Session:
         assert telemetry is not None
         if telemetry.charging:  # some controllers would drive off all the same
             raise BaseFaultError("the robot is being charged: take it off the charger")
+        self._link.guard(BRAKE, UNATTENDED_S)
         for _ in range(_ENABLE_TRIES):
             # Again with each attempt: what a damaged command should have set, nobody reports.
             self._link.send(*settings(limits, self._config or Config(), sonar=sonar))

@@ -10,6 +10,8 @@ from visctrl.robots import Limits
 
 #: Set-points of zero.
 REST = (Command(Id.VEL, 0), Command(Id.RVEL, 0))
+#: What stops the robot as hard as it can, for good.
+BRAKE = (Command(Id.E_STOP), *REST)
 
 
 def settings(limits: Limits, config: Config, *, sonar: bool) -> list[Command]:

@@ -26,6 +26,8 @@ from visctrl.hal.emulator.ports import Port, PtyPort, TcpPort
 from visctrl.hal.errors import LinkError
 from visctrl.hal.pioneer.base import PioneerBase
 from visctrl.hal.pioneer.commands import Command, Id
+from visctrl.hal.pioneer.link import Link
+from visctrl.hal.pioneer.settings import BRAKE
 from visctrl.hal.types import STANDSTILL, Velocity
 from visctrl.robots import load_robot
 
@@ -34,12 +36,14 @@ ROOT = Path(__file__).parents[2]
 START_S = 60.0
 #: A process that drives at full speed until it is killed.
 DRIVER = """
-import sys, time
+import re, signal, sys, time
 from visctrl.hal.clock import WallClock
 from visctrl.hal.pioneer.base import PioneerBase
 from visctrl.hal.types import Velocity
 from visctrl.robots import load_robot
 
+# Told to, it looks for a pattern for ages, without giving the interpreter's lock away.
+signal.signal(signal.SIGUSR1, lambda *_: re.match(r"(a+)+$", "a" * 60 + "b"))
 base = PioneerBase(sys.argv[1], load_robot("p3dx"), load_robot("p3dx").operating, WallClock())
 base.open()
 while True:
@@ -99,27 +103,84 @@ def driving(emulator: Emulator) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def test_killed_driver() -> None:
-    """kill -9 at full speed: the firmware's watchdog acts, in its own time."""
+    """kill -9 at full speed: the guardian acts, and leaves the line to the next one."""
     with make_emulator(PtyPort()) as emulator, driving(emulator) as process:
         process.kill()
         process.wait()
-        dead = emulator.now()
         wait_until(lambda: emulator.standing_since is not None)
-        last = emulator.traffic.entries[-1].latest
-        assert last <= dead + 0.05  # nothing is left that feeds the watchdog
         assert emulator.standing_since is not None
-        assert 1.9 < emulator.standing_since - last <= 2.1 + 0.05
+        wait_until(lambda: free(emulator.url))
+        # It was not left to the firmware's watchdog.
+        assert emulator.traffic.commands()[-len(BRAKE) :] == list(BRAKE)
         base = make_base(emulator.url)
         base.open()
         base.close()
+        assert emulator.traffic.violations() == []
+
+
+def free(url: str) -> bool:
+    """Return whether nobody holds a terminal."""
+    link = Link(url, WallClock())
+    try:
+        link.open()
+    except LinkError:
+        return False
+    link.close()
+    return True
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("port", [PtyPort, TcpPort])
+@pytest.mark.parametrize("end", ["kill", "hold"])
+def test_unable_to_stop_by_itself(port: type[Port], end: str) -> None:
+    """Killed, or with the interpreter's lock held for ages: the robot stands within 0.6 s."""
+    with make_emulator(port()) as emulator, driving(emulator) as process:
+        began, where = emulator.now(), emulator.pose
+        if end == "kill":
+            process.kill()
+        else:
+            process.send_signal(signal.SIGUSR1)
+        wait_until(lambda: emulator.standing_since is not None)
+        assert emulator.standing_since is not None
+        assert emulator.standing_since - began <= 0.6
+        assert math.dist(where[:2], emulator.pose[:2]) < 0.25
+        assert (process.poll() is None) == (end == "hold")
+
+
+def test_guardian_that_is_gone_ends_the_drive() -> None:
+    """Without it, nothing more is driven."""
+    with make_emulator(PtyPort()) as emulator:
+        base = make_base(emulator.url)
+        base.open()
+        try:
+            base.command(Velocity(0.3, 0.0))
+            guardian = base._link._guardian
+            assert guardian is not None
+            guardian._process.kill()
+            guardian._process.wait()
+            with pytest.raises(LinkError, match="guards the robot has ended"):
+                base.command(Velocity(0.3, 0.0))
+        finally:
+            base.close()
+        assert emulator.velocity == STANDSTILL
+
+
+def test_line_that_cannot_be_shared(caplog: pytest.LogCaptureFixture) -> None:
+    link = Link("loop://", WallClock())
+    link.open()
+    link.guard(BRAKE, 0.4)
+    link.beat(moving=True)
+    link.close()
+    assert "only the robot's own watchdog" in caplog.text
 
 
 @pytest.mark.realtime
 def test_frozen_driver_does_not_revive_the_robot() -> None:
-    """After a pause longer than the watchdog's, the first packet takes the set-point back."""
+    """Frozen at full speed, the guardian stops it; when it goes on, it takes the set-point back."""
     with make_emulator(PtyPort()) as emulator, driving(emulator) as process:
         process.send_signal(signal.SIGSTOP)
-        wait_until(lambda: emulator.standing_since is not None, 2.5)
+        wait_until(lambda: emulator.standing_since is not None, 0.7)
+        time.sleep(2.2)
         before = len(emulator.traffic.commands())
         process.send_signal(signal.SIGCONT)
         wait_until(lambda: len(emulator.traffic.commands()) > before + 1)
