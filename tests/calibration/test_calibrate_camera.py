@@ -11,11 +11,13 @@ import pytest
 from views import board_image, save
 
 from visctrl.calibration.boards import Board, Corners
-from visctrl.calibration.camera import BoardView, calibrate
+from visctrl.calibration.bundle import Bundle
+from visctrl.calibration.camera import MISFIT_PX, BoardView, calibrate
 from visctrl.cli.main import main
 from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.cameras.central import CentralCamera
 from visctrl.hal.cameras.files import read_camera
+from visctrl.hal.cameras.models.pinhole_radtan import PinholeRadtanCamera
 from visctrl.reproduce.calibration import ray_errors_deg
 from visctrl.robots.errors import InputError
 from visctrl.sim.render.board_images import facing
@@ -207,7 +209,7 @@ def test_what_cannot_be_calibrated_is_said(visctrl, tmp_path):
     assert (code, "expected squares across x down" in err) == (2, True)
     code, _, err = visctrl("calibrate", "camera", blank, "--size", "2x6", "--square", "0.05")
     assert (code, "4 to 40" in err) == (2, True)
-    code, _, err = visctrl("calibrate", "camera", blank, *size, "--format", "ros")
+    code, _, err = visctrl("calibrate", "camera", blank, *size, "--format", "tum")
     assert (code, "expected one of visctrl, kalibr, opencv" in err) == (2, True)
     code, _, err = visctrl("calibrate", "convert", "fisheyes", "new.yaml")
     assert (code, "did you mean 'fisheye'" in err) == (2, True)
@@ -231,3 +233,37 @@ def test_a_printed_board_is_found_in_its_own_picture(visctrl, tmp_path):
         assert len(found) == (columns - 1) * (rows - 1)
     code, _, err = visctrl("calibrate", "board", "board.xyz", *options)
     assert (code, "cannot be written" in err) == (2, True)
+
+
+def test_the_same_view_again_is_no_evidence():
+    camera = shifted("fisheye")
+    (one,) = exact_sights(camera, 1, 0.0)
+    rng = np.random.default_rng(2)
+    again = [
+        BoardView(f"{k}.png", Corners(one.corners.ids, one.corners.pixels + rng.normal(0, 0.2, 2)))
+        for k in range(8)
+    ]
+    with pytest.raises(InputError, match=r"in 1 images \(7 more show it where"):
+        calibrate(BOARD, again, (camera.width, camera.height), "auto", "found")
+
+
+def test_distortion_that_the_model_has_not_is_in_the_deviations():
+    """Never "± 0.1 px" for what is off by pixels."""
+    lens = PinholeRadtanCamera(
+        name="lens", width=640, height=480, cx=325.0, cy=236.0, fx=500.0, fy=501.0, k1=-0.05
+    ).altered(max_polar_deg=34.0)
+    bundle = Bundle(BOARD, [sight.corners for sight in exact_sights(lens, 8, 0.1)], pinhole=True)
+    start = np.array([0.0, 500.0, 501.0, 325.0, 236.0])
+    poses = bundle.start((640, 480))[0][2]
+    found = bundle.fit(start, poses, robust=False)
+    assert found.misfit_px > MISFIT_PX
+    off = found.intrinsics[3:] - [325.0, 236.0]
+    assert np.abs(off / found.sigmas[3:]).max() < 4.0
+
+
+def test_a_model_that_fits_has_no_misfit():
+    camera = shifted("hypercatadioptric")
+    bundle = Bundle(BOARD, [s.corners for s in exact_sights(camera, 8, 0.3)], pinhole=False)
+    start = np.array([camera.coefficients["xi"], *camera.K[[0, 1], [0, 1]], camera.cx, camera.cy])
+    poses = bundle.start((800, 600))[0][2]
+    assert bundle.fit(start, poses, robust=False).misfit_px < MISFIT_PX

@@ -12,7 +12,7 @@ from visctrl.reproduce.recorded_run import drive
 from visctrl.studies.run_spec import RunSpec
 
 #: Every camera once, and every scheme once; features by the model instead of pictures.
-PAIRS = zip(sorted(CAMERAS), ("pose", "trifocal", "epipolar", "trifocal"), strict=True)
+PAIRS = list(zip(sorted(CAMERAS), ("pose", "trifocal", "epipolar", "trifocal"), strict=True))
 
 
 @pytest.mark.parametrize(("camera", "scheme"), PAIRS)

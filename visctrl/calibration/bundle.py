@@ -29,6 +29,8 @@ _CANDIDATES = 3
 #: Errors beyond this (px) count less, until bad images are known.
 _SOFT_PX = 1.0
 _STEP = 1e-6
+#: Cells across the picture in which residuals are compared.
+_CELLS = 8
 
 
 @dataclass(frozen=True)
@@ -38,12 +40,14 @@ class CameraFit:
     intrinsics : (5,) ξ, αx, αy, x0, y0; sigmas : (5,) their standard deviations.
     poses : (M, 6) rotation vectors and positions of the boards in camera axes.
     residuals : for each image, (N, 2) found minus predicted (px).
+    misfit_px : root mean square of what the residuals of a place in the picture have in common.
     """
 
     intrinsics: Array
     sigmas: Array
     poses: Array
     residuals: tuple[Array, ...]
+    misfit_px: float
 
     @property
     def rms(self) -> Array:
@@ -105,7 +109,9 @@ class Bundle:
         intrinsics, poses = split(solution.x)
         residuals = -self._residuals(intrinsics, poses)
         per_image = tuple(residuals[self._image == i] for i in range(self._count))
-        return CameraFit(intrinsics, self._sigmas(intrinsics, poses, residuals), poses, per_image)
+        misfit_px, inflation = self._misfit(residuals)
+        sigmas = inflation * self._sigmas(intrinsics, poses, residuals)
+        return CameraFit(intrinsics, sigmas, poses, per_image, misfit_px)
 
     def start(self, size: tuple[int, int]) -> list[tuple[float, Array, Array]]:
         """Return the best starts as (cost, intrinsics, poses), from a search over (ξ, f).
@@ -175,6 +181,30 @@ class Bundle:
         sigmas = np.zeros(_INTRINSICS)
         sigmas[self._free] = np.sqrt(np.diag(covariance)[: len(self._free)])
         return sigmas
+
+    def _misfit(self, residuals: Array) -> tuple[float, float]:
+        """Return the rms (px) of cells' mean residuals beyond chance, and what it does to sigmas.
+
+        One-way analysis of variance over the cells of a grid on the picture. Corners of a cell
+        that share an error are fewer observations than they are: the standard deviations grow by
+        the root of the design effect (Kish 1965), the variance of means over that of chance.
+        """
+        low = self._pixels.min(axis=0)
+        side = (self._pixels.max(axis=0) - low).max() / _CELLS + 1e-9
+        column, row = ((self._pixels - low) // side).astype(int).T
+        _, cell, counts = np.unique(
+            row * (_CELLS + 1) + column, return_inverse=True, return_counts=True
+        )
+        sums = np.stack([np.bincount(cell, residuals[:, k]) for k in (0, 1)], axis=-1)
+        means = sums / counts[:, None]
+        freedom = len(residuals) - len(counts)
+        if freedom < len(counts):
+            return 0.0, 1.0
+        between = float((counts[:, None] * means**2).sum()) / (2 * len(counts))
+        within = float(((residuals - means[cell]) ** 2).sum()) / (2 * freedom)
+        total = float((residuals**2).mean())
+        shared = max(0.0, between - within) * len(counts) / len(residuals)
+        return float(np.sqrt(2.0 * shared)), float(np.sqrt(max(1.0, between / max(total, 1e-300))))
 
     def _linear_poses(self, intrinsics: Array) -> Array | None:
         """Return a pose (M, 6) of each board from the rays of its corners."""

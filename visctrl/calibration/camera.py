@@ -30,6 +30,10 @@ _WORTH_XI = 9.0
 _DOUBTFUL = 20.0
 #: Beyond this the images do not determine the camera.
 _HOPELESS_PX = 5.0
+#: What residuals of a place share, beyond chance (px): deserves a word; is another camera's.
+MISFIT_PX, _REFUSED_PX = 0.1, 0.5
+#: An image shows what another does if its corners lie within this of the other's (px).
+_SAME_PX = 3.0
 #: A fit this good (px) makes other starts superfluous.
 _CONVINCING_PX = 0.5
 
@@ -51,6 +55,7 @@ class Calibration:
     rms : of each image (px) by name, the bad ones included.
     bad : names of images that were left out.
     corners_left_out : wrong corners in the images that were not.
+    repeats : names of images that show the board where another does; they say nothing new.
     polar : least and greatest angle from the optical axis at which corners were seen (rad).
     """
 
@@ -59,6 +64,7 @@ class Calibration:
     rms: dict[str, float]
     bad: tuple[str, ...]
     corners_left_out: int
+    repeats: tuple[str, ...]
     polar: tuple[float, float]
 
 
@@ -84,10 +90,12 @@ def calibrate(
     InputError
         Too few images, or they do not fit one camera.
     """
+    sights, repeats = _without_repeats(sights)
     if len(sights) < _LEAST_IMAGES:
+        same = f" ({len(repeats)} more show it where another does)" if repeats else ""
         raise InputError(
-            f"the board was found in {len(sights)} images, {_LEAST_IMAGES} are the least, and 20 "
-            "all over the picture are good"
+            f"the board was found in {len(sights)} images{same}, {_LEAST_IMAGES} are the least, "
+            "and 20 all over the picture are good"
         )
     fit, used = _without_bad(board, sights, size, pinhole=model == "pinhole")
     if model == "auto" and fit.intrinsics[0] < _DOUBTFUL * fit.sigmas[0]:
@@ -95,6 +103,12 @@ def calibrate(
         fit, used = _chosen((fit, used), simpler)
     found = sum(len(sights[i].corners) for i in used)
     fit = _without_wrong_corners(board, [sights[i].corners for i in used], fit)
+    if fit.misfit_px > _REFUSED_PX:
+        raise InputError(
+            "this model does not fit: in parts of the picture all corners are off by the same, "
+            f"{fit.misfit_px:.1f} px: the lens has distortion that (ξ, K) has not; calibrate with "
+            "Kalibr, OpenCV or Basalt, and give that file to --camera"
+        )
     camera = camera_from(fit, size, name)
     rms = dict(zip((sights[i].name for i in used), fit.rms.tolist(), strict=True))
     bad = [sight for i, sight in enumerate(sights) if i not in used]
@@ -105,8 +119,30 @@ def calibrate(
         rms,
         tuple(sight.name for sight in bad),
         found - sum(map(len, fit.residuals)),
+        repeats,
         _polar(camera, sights, used),
     )
+
+
+def _without_repeats(sights: Sequence[BoardView]) -> tuple[list[BoardView], tuple[str, ...]]:
+    """Return the images that differ from one another, and the names of the others."""
+    kept: list[BoardView] = []
+    repeats: list[str] = []
+    for sight in sights:
+        if any(_same_view(sight.corners, other.corners) for other in kept):
+            repeats.append(sight.name)
+        else:
+            kept.append(sight)
+    return kept, tuple(repeats)
+
+
+def _same_view(a: Corners, b: Corners) -> bool:
+    """Return whether the corners that two images share lie in the same places."""
+    _, of_a, of_b = np.intersect1d(a.ids, b.ids, return_indices=True)
+    if 2 * len(of_a) < len(a):
+        return False
+    moved = np.linalg.norm(a.pixels[of_a] - b.pixels[of_b], axis=1)
+    return bool(np.median(moved) < _SAME_PX)
 
 
 def _without_bad(

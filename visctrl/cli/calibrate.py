@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import track
 
 from visctrl.calibration.boards import Board
-from visctrl.calibration.camera import BoardView, Calibration, Model, calibrate
+from visctrl.calibration.camera import MISFIT_PX, BoardView, Calibration, Model, calibrate
 from visctrl.calibration.centre import Centre, find_centre
 from visctrl.calibration.edges import Segments, find_segments
 from visctrl.hal.cameras.catalogue import parse_camera
@@ -209,6 +209,8 @@ def _report(result: Calibration, camera: CentralCamera, unseen: list[str]) -> di
         "bad": list(result.bad),
         "corners_left_out": result.corners_left_out,
         "not_found": unseen,
+        "repeats": list(result.repeats),
+        "misfit_px": result.fit.misfit_px,
         "polar_deg": [math.degrees(angle) for angle in result.polar],
     }
 
@@ -222,6 +224,8 @@ def _show_camera(
         print(f"{name}  {result.rms[name]:.3f} px{verdict}")
     for name in unseen:
         print(f"{name}  board not found")
+    for name in result.repeats:
+        print(f"{name}  shows the board where another image does, left out")
     low, high = (math.degrees(angle) for angle in result.polar)
     values = zip(("xi", "fx", "fy", "cx", "cy"), fit.sigmas.tolist(), strict=True)
     print("  ".join(f"{key} {getattr(camera, key):.4f} ± {sd:.4f}" for key, sd in values))
@@ -230,6 +234,12 @@ def _show_camera(
     print(f"{used} images, rms {fit.total_rms:.3f} px; {seen}")
     if result.corners_left_out:
         print(f"{result.corners_left_out} single corners left out")
+    if fit.misfit_px > MISFIT_PX:
+        print(
+            f"visctrl: this model fits to {fit.misfit_px:.2f} px only: corners of a place are off "
+            "together (lens distortion?); the standard deviations include it",
+            file=sys.stderr,
+        )
     vague = max(fit.sigmas[1:3] / np.abs(fit.intrinsics[1:3]))
     if vague > _VAGUE:
         print(
