@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 FOLDERS = "visctrl|hal|sim|robots|configs|benchmarks|tests|docs"
 #: Files that a reader makes by following a guide; NAME and the like stand for something.
-MADE_BY_READERS = {"polar.py", "line.py", "rover.py", "law_NAME.py"}
+MADE_BY_READERS = {"polar.py", "line.py", "rover.py", "law_NAME.py", "NAME.py"}
 COMMAND_LINE = typer.main.get_command(app)
 
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
