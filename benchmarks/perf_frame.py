@@ -16,8 +16,8 @@ from visctrl.runtime.config import load_scenario, parse_setting
 from visctrl.runtime.plan import make_plan
 from visctrl.runtime.registry import REGISTRIES
 from visctrl.runtime.session import run_session
-from visctrl.sim.options import SimOptions
-from visctrl.sim.render.renderer_choice import DrawerName, drawer_problem
+from visctrl.sim.options import RendererName, SimOptions
+from visctrl.sim.render.renderer_choice import drawer_problem
 from visctrl.sim.world.engine import disconnect
 
 ROUNDS = 10
@@ -34,7 +34,7 @@ def plain() -> Iterator[Draw]:
     disconnect(client)
 
 
-def measured(benchmark: Any, camera: str, drawer: DrawerName, plain: Draw, bound: str) -> None:
+def measured(benchmark: Any, camera: str, drawer: RendererName, plain: Draw, bound: str) -> None:
     """Time frames of 800×600, noise and all, against plain ones of as many pixels."""
     if problem := drawer_problem(drawer):
         pytest.skip(problem)
@@ -67,7 +67,7 @@ def test_gl_frame(benchmark: Any, camera: str, plain: Draw) -> None:
 
 
 @pytest.mark.parametrize("drawer", ["tiny", "gl"])
-def test_simulation(benchmark: Any, drawer: DrawerName, plain: Draw) -> None:
+def test_simulation(benchmark: Any, drawer: RendererName, plain: Draw) -> None:
     """The default run: opening, teaching and matching included in the time, not in the factor."""
     if problem := drawer_problem(drawer):
         pytest.skip(problem)

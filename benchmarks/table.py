@@ -1,4 +1,4 @@
-"""Run every benchmark and write the table of the README's performance section.
+"""Run every benchmark and write the table of ``docs/benchmarks.md``.
 
     python benchmarks/table.py [--write] [PYTEST OPTIONS...]
 
@@ -19,7 +19,7 @@ from typing import Any
 from visctrl.threads import LINEAR_ALGEBRA
 
 ROOT = Path(__file__).resolve().parents[1]
-README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- benchmarks -->", "<!-- end of benchmarks -->"
 
 
@@ -85,10 +85,10 @@ def main() -> int:
     text = table(run(options))
     print(text)
     if "--write" in sys.argv[1:]:
-        page = README.read_text(encoding="utf-8")
+        page = PAGE.read_text(encoding="utf-8")
         head, rest = page.split(BEGIN)
         _, tail = rest.split(END)
-        README.write_text(f"{head}{BEGIN}\n{text}\n{END}{tail}", encoding="utf-8")
+        PAGE.write_text(f"{head}{BEGIN}\n{text}\n{END}{tail}", encoding="utf-8")
     return 0
 
 
