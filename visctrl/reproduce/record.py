@@ -47,13 +47,14 @@ def page(out: Path) -> str:
     judged = [row for row in rows if row["ok"] is not None]
     short = [row for row in judged if not row["ok"]]
     lines = [_HEAD, f"Made with {made} on {where}.\n\n"]
+    missing = [name for name, result in results.items() if result is None]
+    if missing:
+        names = ", ".join(f"`{name}`" for name in missing)
+        lines.append(f"Not run for this page, which says nothing of them: {names}.\n\n")
     lines.append(
         f"{len(judged)} rows are judged, {sum(not row['bound'] for row in judged)} of them by the "
         f"source's own numbers; {len(short)} fall short.\n"
     )
-    missing = [name for name, result in results.items() if result is None]
-    if missing:
-        lines.append(f"\nNot run for this page: {', '.join(f'`{name}`' for name in missing)}.\n")
     for name, result in results.items():
         if result is not None:
             lines.extend(_section(name, result))

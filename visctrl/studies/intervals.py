@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONFIDENCE = 0.95
-#: Standard normal quantile of `CONFIDENCE`, two-sided.
-_Z = 1.959963984540054
 _RESAMPLES = 2000
 #: Values drawn at a time, so that a large sample does not fill the memory.
 _CHUNK = 2_000_000
@@ -31,14 +29,10 @@ def wilson(successes: int, count: int) -> Interval:
 
     Unlike the normal approximation it is sound for few runs and for shares near 0 and 1.
     """
-    share = successes / count
-    shrink = 1.0 + _Z * _Z / count
-    centre = (share + _Z * _Z / (2.0 * count)) / shrink
-    half = _Z / shrink * math.sqrt(share * (1.0 - share) / count + (_Z / (2.0 * count)) ** 2)
-    # The ends are exactly 0 and 1 there, which rounding misses.
-    low = 0.0 if successes == 0 else centre - half
-    high = 1.0 if successes == count else centre + half
-    return Interval(share, low, high)
+    from scipy.stats import binomtest
+
+    found = binomtest(successes, count).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(successes / count, float(found.low), float(found.high))
 
 
 def mean(sample: Sample) -> Interval:
