@@ -147,3 +147,12 @@ def test_a_distance_without_scale_is_some_distance() -> None:
 @given(a=st.builds(Pose, small, small, small), b=st.builds(Pose, small, small, small))
 def test_relative_poses_compose(a: Pose, b: Pose) -> None:
     assert composed(a, relative_to(a, b)) == pytest.approx(b, abs=1e-12)
+
+
+def test_features_that_determine_nothing_are_no_fault() -> None:
+    """One and the same ray many times, in both fits: all that comes of it is a large doubt."""
+    ray = np.tile([0.0, 1.0, 0.0], (20, 1))
+    found = displacement(ray, sighting(ray, 1e-3))
+    assert found.distance_sd > 1.0
+    earlier = [Waypoint(sighting(ray, 1e-3), Pose(0.0, -0.5, 0.0))]
+    assert np.isfinite(measured_depths(ray, sighting(ray, 1e-3), earlier, HERE).mean).all()

@@ -98,7 +98,7 @@ def arrival(bench: Bench) -> list[Row]:
 def _settings(condition: Condition) -> tuple[str, ...]:
     sized = any(text.startswith("camera.width") for text in condition.settings)
     width = () if sized else ("camera.width=400",)
-    return ("backend=sim", "sim.renderer=auto", *width, *condition.settings)
+    return ("backend=sim", *width, *condition.settings)
 
 
 def judged(

@@ -23,6 +23,8 @@ TAUGHT, _FRAMES, _WAIT = 9, 8, 16
 _BEGINS = 0.75
 #: Starts turned by more than this may look far off and be near.
 _TURNED_RAD = math.radians(20.0)
+#: What noise may leave of a place at which the last stage begins (m).
+_KNOWN_M = 0.1
 #: Between two views that are remembered, the robot has driven (m) or turned (rad) so far.
 _STEP_M, _STEP_RAD = 0.05, math.radians(10.0)
 
@@ -85,7 +87,8 @@ class ArrivalWatch(Observer):
         if left.distance >= near and abs(left.pose.phi) > _TURNED_RAD:
             centre = centre_of_turns(self._calibration, views.target, [views.current], views.sigma)
             left = left if centre.far_off else seen_displacement(centre.corrected(views))
-        return left is not None and left.distance < near
+        # What views do not determine is no place to begin from.
+        return left is not None and left.distance < near and left.noise_sd < _KNOWN_M
 
     def may_coincide(self, verdict: Verdict) -> bool:
         """Return whether something is left that the image alone can close."""

@@ -32,6 +32,8 @@ _SCENE, _SCALE, _SHARED = 0, 1, 2
 WHEEL_SCALE_SD, WHEEL_SD, WHEEL_SD_M, WHEEL_SD_RAD = 0.15, 0.05, 0.005, math.radians(3.0)
 _LEAST_INVERSE_DEPTH = 1e-3
 _ROUNDS, _SETTLED = 25, 1e-6
+#: What a pose is known to beforehand (m, rad), about where it was begun with.
+_ANYWHERE = 10.0
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e8
 
 
@@ -152,6 +154,9 @@ class _Bundle:
             system.cross[:, columns] = np.einsum("nri,nr->ni", weighted, by_depth[v])
         system.depth += np.einsum("vn,vnr,vnr->n", weight, by_depth, by_depth)
         system.depth_rhs += np.einsum("vn,vnr,vnr->n", weight, by_depth, residual)
+        # The last view is known roughly, for features that determine nothing.
+        poses = range(_SHARED, len(system.rhs))
+        system.common[poses, poses] += 1.0 / _ANYWHERE**2
         self._add_scene(state, system)
         self._add_wheels(state, system)
         return system

@@ -33,6 +33,8 @@ FLOOR_DEG, FLOOR_SD, FLOOR_SCALE_SD = -20.0, 0.25, 0.2
 #: Cauchy's constant (standard deviations): 95 % efficient where there are no outliers.
 CAUCHY = 2.385
 _ROUNDS, _SETTLED = 30, 1e-7
+#: What the pose is known to beforehand (m, m, rad): features that determine nothing give this.
+_ANYWHERE = np.array([10.0, 10.0, math.pi])
 
 
 @dataclass(frozen=True)
@@ -116,13 +118,18 @@ class Displacement:
         """Standard deviation of the position in its worst direction (m)."""
         return _worst(self.covariance)
 
+    @property
+    def noise_sd(self) -> float:
+        """Standard deviation of the position in its worst direction, were the scale known (m)."""
+        return _worst(self.by_noise)
+
     def least_distance(self, sigmas: float) -> float:
         """Return what the distance (m) is at least, so many standard deviations off.
 
         The scale of the depths multiplies a distance, however uncertain, and makes none.
         """
         shrunk = self.distance * math.exp(-sigmas * self.scale_log_sd)
-        return shrunk - sigmas * _worst(self.by_noise)
+        return shrunk - sigmas * self.noise_sd
 
     @property
     def heading_sd(self) -> float:
@@ -258,6 +265,7 @@ class _Fit:
         weighted = weight[:, None, None] * jacobian
         information = np.einsum("nri,nrj->ij", weighted, jacobian)
         rhs = np.einsum("nri,nr->i", weighted, residual)
+        information[range(3), range(3)] += 1.0 / _ANYWHERE**2
         information[[3, 4], [3, 4]] += 1.0 / self._prior_sd**2
         rhs[3:] -= scale / self._prior_sd**2
         return information, rhs
