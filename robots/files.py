@@ -44,6 +44,20 @@ def utf_8(path: Path) -> bool:
     return True
 
 
+def openable(name: str) -> bool:
+    """Return whether a library written in C may open what a name leads to.
+
+    A pipe would hold it, and with it the program, for ever; a name that is not UTF-8 crashes it.
+    """
+    if not utf_8(Path(name)):
+        return False
+    try:
+        mode = os.stat(name).st_mode
+    except (OSError, ValueError):  # a URL, a number, or nothing: it will say so
+        return "\0" not in name
+    return stat.S_ISREG(mode) or stat.S_ISCHR(mode)
+
+
 def read_bytes(path: Path, most: int) -> bytes:
     """Return what a file holds.
 

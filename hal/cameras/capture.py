@@ -22,6 +22,7 @@ from visctrl.hal.errors import CameraError, StaleFrameError
 from visctrl.hal.interfaces import Camera, Clock
 from visctrl.hal.types import Frame
 from visctrl.robots.documents import StrictModel
+from visctrl.robots.files import openable
 
 #: Longest wait for a connection, and for the first picture (s).
 _OPEN_S = 3.0
@@ -209,6 +210,9 @@ class CaptureCamera(Camera):
         """Return an open camera, or None with the problem noted."""
         _quieten()
         source = self._options.source
+        if not openable(source):
+            self._problem = "it is neither a device nor a film, or its name is not UTF-8"
+            return None
         if source.isdigit():
             capture = cv2.VideoCapture(int(source))
         elif "://" in source:

@@ -23,6 +23,7 @@ from visctrl.cli.options import SCHEMES
 from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.hal.cameras.files import write_camera
 from visctrl.robots.errors import DiskError
+from visctrl.robots.files import openable
 from visctrl.runtime.schemes import schemes
 from visctrl.runtime.target_view import TargetView
 
@@ -507,3 +508,13 @@ def test_a_far_start_is_given_the_time_that_its_way_takes(visctrl: Call) -> None
     assert done.code == 0, done.err
     assert json.loads(done.out)["duration_s"] > 60.0, "the time that a near start is given"
     assert visctrl("run", "mock", "-q", "--start", "0", "-20", "0", "--duration", "60").code == 1
+
+
+def test_a_camera_that_would_hold_the_program_for_ever(visctrl: Call, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    for source in ("pipe", "folder", os.fsdecode(b"caf\xe9.avi")):
+        assert not openable(source)
+    done = visctrl("doctor", "--quick", "--camera-url", "pipe")
+    assert done.code == 3
+    assert "neither a device nor a film" in " ".join(done.out.split())
