@@ -15,6 +15,10 @@ Start = tuple[float, float, float]
 Summary = Mapping[str, Any]
 
 
+#: What a law leaves is what is judged: the last stage by the image, which would close it, is off.
+LAW_ALONE = "final.enabled=false"
+
+
 def start_at(start: Start) -> tuple[str, ...]:
     """Return the settings that put the robot at a start."""
     keys = ("x_m", "y_m", "phi_deg")

@@ -14,6 +14,7 @@ import numpy as np
 
 from visctrl.hal.cameras.catalogue import load_camera
 from visctrl.reproduce.cases import (
+    LAW_ALONE,
     Start,
     column,
     distances,
@@ -280,7 +281,7 @@ def _simulated(
     duration, tau : of the source's law as published, and of its first step (s); the smooth law
         takes what it needs.
     """
-    where = ("backend=sim", "scheme=epipolar", *start_at(start))
+    where = ("backend=sim", "scheme=epipolar", LAW_ALONE, *start_at(start))
     runs = {
         camera: RunSpec("default", (*where, f"camera.name={camera}"), bench.out / camera)
         for camera in SIMULATED_CM
@@ -339,7 +340,7 @@ def _noisy(
 
 def _law(law: str, duration: float, camera: str, start: Start) -> tuple[str, ...]:
     settings = ("backend=mock", "scheme=epipolar", "mock.ideal=true", f"camera.name={camera}")
-    whole = (*settings, *start_at(start), f"duration_s={1.7 * duration}")
+    whole = (*settings, LAW_ALONE, *start_at(start), f"duration_s={1.7 * duration}")
     if law == SMOOTH:
         return (*whole, f"controller.duration_s={duration}")
     return (*whole, *_source_law(duration))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from visctrl.reproduce.cases import (
+    LAW_ALONE,
     Start,
     column,
     distances,
@@ -191,7 +192,7 @@ def earlier_scheme(bench: Bench) -> list[Row]:
 
 def robot_3_14(bench: Bench) -> list[Row]:
     """Repeat the robot experiment on the simulator: P3-AT, rendered images."""
-    job = RunSpec("default", ("robot=p3at", *start_at(ROBOT_START)), bench.out / "p3at")
+    job = RunSpec("default", ("robot=p3at", LAW_ALONE, *start_at(ROBOT_START)), bench.out / "p3at")
     summary = bench.run([job])[0]
     plot_states(bench.out, _recorded([job]), "P3-AT, rendered images")
     plot_tensors(bench.out, _recorded([job]), "normalised tensor elements")
@@ -286,6 +287,7 @@ def _ideal(start: Start, camera: str) -> tuple[str, ...]:
     return (
         *("backend=mock", "scheme=trifocal", "mock.ideal=true"),
         *(f"camera.name={camera}", "camera.width=1024", "camera.height=768"),
+        LAW_ALONE,
         *start_at(start),
     )
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.reproduce.cases import Start, Summary, start_at
+from visctrl.reproduce.cases import LAW_ALONE, Start, Summary, start_at
 from visctrl.robots.unicycle import wrap_angle
 from visctrl.runtime.consistency import NAME, chi_square_bounds
 from visctrl.runtime.records import Observer, TickRecord
@@ -39,6 +39,7 @@ def simulated(start: Start, *settings: str, tau_s: float = 100.0) -> tuple[str, 
     """Return the settings of an ideal robot in a scene of points, the source's large image."""
     return (
         *("backend=mock", "scheme=pose", "camera.width=1024", "mock.ideal=true"),
+        LAW_ALONE,
         *start_at(start),
         *(f"controller.tau_s={tau_s}", f"duration_s={2.0 * tau_s}"),
         *settings,

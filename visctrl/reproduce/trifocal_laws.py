@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from visctrl.reproduce.cases import Summary, column, distances, folder_name, start_at
+from visctrl.reproduce.cases import LAW_ALONE, Summary, column, distances, folder_name, start_at
 from visctrl.reproduce.entry import Bench, Row, within
 from visctrl.reproduce.main_job import seeded_starts
 from visctrl.studies.run_spec import RunSpec
@@ -73,6 +73,7 @@ def _job(bench: Bench, law: str, condition: str, number: int) -> RunSpec:
         *("backend=mock", f"controller.name={law.partition(',')[0]}", f"seed={number}"),
         *_LAWS[law],
         *("mock.near_m=1.5", "mock.far_m=5"),
+        LAW_ALONE,
         *start_at(_STARTS[number]),
         *CONDITIONS[condition],
     )
