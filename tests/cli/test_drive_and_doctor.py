@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -172,6 +174,33 @@ def driving(emulator: Emulator, *options: str) -> Iterator[tuple[subprocess.Pope
         process.wait()
         os.close(keyboard)
         os.close(terminal)
+
+
+def test_terminal_that_is_closed(emulator: Emulator) -> None:
+    """Its own end is gone, and so is the keyboard's: the robot stands, the drive is over."""
+    keyboard, terminal = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "visctrl", "drive", "--port", emulator.url],
+        stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )  # fmt: skip
+    os.close(terminal)
+    try:
+        wait_until(lambda: emulator.motors)
+
+        def moving() -> bool:
+            os.write(keyboard, b"w")
+            return emulator.velocity.v > 0.05
+
+        wait_until(moving)
+        os.close(keyboard)
+        assert process.wait(30.0) in (0, 128 + signal.SIGHUP)
+        assert emulator.velocity == STANDSTILL
+        assert not emulator.motors
+    finally:
+        process.kill()
+        process.wait()
 
 
 @pytest.mark.parametrize(("how", "code"), [("quit", 0), ("terminate", 143)])

@@ -12,6 +12,7 @@ from toy_plugins import SpyBackend
 
 from visctrl.hal.errors import LinkError
 from visctrl.hal.types import STANDSTILL
+from visctrl.runtime import overdue
 from visctrl.runtime.plan import Plan
 from visctrl.runtime.records import Observer, TickRecord
 from visctrl.runtime.session import run_session
@@ -65,6 +66,37 @@ def test_the_robot_is_stopped_while_a_plugin_hangs(toy_plan: Callable[..., Plan]
     before = max(t for t in moving if t < 1.0)
     stopped = min(t for t, sent in backend.commands if sent == STANDSTILL and t > before)
     assert 0.3 < stopped - before < 1.2, "0.4 s after the last command, long before 1.5 s"
+
+
+@pytest.mark.parametrize("realtime", [True, False])
+def test_a_plugin_that_never_returns_ends_the_run(
+    toy_plan: Callable[..., Plan], realtime: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its name, as a fault, some time after the run should have been over."""
+    monkeypatch.setattr(overdue, "GRACE_S", 0.5)
+    trouble = {"controller.trouble": "stall", "controller.stall_s": 600.0, "controller.at_s": 0.2}
+    began = time.monotonic()
+    outcome = run_session(toy_plan({**trouble, "duration_s": 1.0, "realtime": realtime}))
+    assert time.monotonic() - began < 60.0
+    assert outcome.exit_code == 3
+    assert outcome.summary["status"] == "fault"
+    assert outcome.summary["reason"].startswith("controller '")
+    assert "does not return" in outcome.summary["reason"]
+    (backend,) = SpyBackend.opened
+    assert backend.closed
+    assert backend.base.odometry().velocity == STANDSTILL
+
+
+@pytest.mark.parametrize("realtime", [True, False])
+def test_a_slow_plugin_is_no_fault(
+    toy_plan: Callable[..., Plan], realtime: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beyond the end of its stage, but not for longer than the grace."""
+    monkeypatch.setattr(overdue, "GRACE_S", 30.0)
+    trouble = {"controller.trouble": "stall", "controller.stall_s": 1.0, "controller.at_s": 0.2}
+    outcome = run_session(toy_plan({**trouble, "duration_s": 0.5, "realtime": realtime}))
+    assert outcome.summary["status"] != "fault"
+    assert outcome.exit_code != 3
 
 
 def test_a_watchdog_leaves_a_fed_or_standing_robot_alone() -> None:

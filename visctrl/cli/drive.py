@@ -7,7 +7,7 @@ import os
 import select
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Protocol
 
 from rich.console import Console
@@ -169,7 +169,8 @@ def keyboard() -> Iterator[Keys]:
         tty.setcbreak(number)
         yield _Terminal(number)
     finally:
-        termios.tcsetattr(number, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # the terminal may have gone
+            termios.tcsetattr(number, termios.TCSADRAIN, before)
 
 
 class _Terminal:
@@ -180,7 +181,10 @@ class _Terminal:
         """Return the keys pressed since the last call."""
         text = ""
         while select.select([self._number], [], [], 0.0)[0]:
-            data = os.read(self._number, 256)
+            try:
+                data = os.read(self._number, 256)
+            except OSError:
+                data = b""
             if not data:
                 return [*split_keys(text), _QUIT]  # the terminal has gone
             text += data.decode(errors="ignore")

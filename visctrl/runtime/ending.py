@@ -8,6 +8,7 @@ from visctrl.hal.errors import DeviceError
 from visctrl.hal.interfaces import Backend
 from visctrl.robots.errors import VisctrlError
 from visctrl.runtime.interrupts import Interrupted
+from visctrl.runtime.overdue import PluginOverdueError
 from visctrl.runtime.pipeline import PluginError
 from visctrl.runtime.safety import LostError
 from visctrl.runtime.stop import StopRequested
@@ -36,6 +37,8 @@ def ended_by(error: BaseException) -> End:
         return End(STOPPED, str(error), error.exit_code)
     if isinstance(error, StopRequested):
         return End(STOPPED, str(error), _KEYBOARD_INTERRUPT)
+    if isinstance(error, PluginOverdueError):
+        return End(FAULT, str(error), PluginError.exit_code)
     if isinstance(error, KeyboardInterrupt):
         return End(STOPPED, "stopped by Ctrl-C", _KEYBOARD_INTERRUPT)
     if isinstance(error, LostError):

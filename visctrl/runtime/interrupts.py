@@ -44,6 +44,7 @@ class Interrupts:
         self._depth = 0
         self._pending: int | None = None
         self._over = False
+        self._error: BaseException | None = None
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
@@ -63,6 +64,18 @@ class Interrupts:
             signal.signal(number, handler)
         self._previous.clear()
 
+    def end(self, error: BaseException) -> None:
+        """Raise ``error`` in the main thread, from another one, as a signal would.
+
+        Nothing happens where signals are not looked after: outside the main thread, or where the
+        system cannot send one to a thread.
+        """
+        main = threading.main_thread().ident
+        if signal.SIGTERM in self._previous and main is not None:
+            self._error = error
+            if hasattr(signal, "pthread_kill"):
+                signal.pthread_kill(main, signal.SIGTERM)
+
     def ignore(self) -> None:
         """Let nothing disturb the clean-up from here on."""
         self._over = True
@@ -76,7 +89,7 @@ class Interrupts:
             return
         if self._depth == 0:
             self._over = True
-            raise Interrupted(number)
+            raise self._error or Interrupted(number)
         self._pending = number
 
     def _enter_shield(self) -> None:
@@ -86,7 +99,7 @@ class Interrupts:
         self._depth -= 1
         if self._depth == 0 and self._pending is not None and not failing:
             self._over = True
-            raise Interrupted(self._pending)
+            raise self._error or Interrupted(self._pending)
 
 
 def ending_signals() -> list[signal.Signals]:

@@ -17,6 +17,7 @@ from visctrl.runtime.consistency import NAME as CONSISTENCY
 from visctrl.runtime.consistency import Consistency, gives_pose
 from visctrl.runtime.image_motion import ImageMotion
 from visctrl.runtime.interrupts import Interrupts
+from visctrl.runtime.overdue import CallLimit
 from visctrl.runtime.pipeline import Pipeline, Reporting, Stage, Watch, signals_of
 from visctrl.runtime.records import STAGES, Observer, TickRecord
 from visctrl.runtime.safety import Guard, UnsafeCommandError
@@ -102,18 +103,21 @@ class Loop:
         StopRequested
             Somebody wants it to end.
         """
-        if self._backend.clock.lockstep:
-            return self._run(stage)
+        lockstep = self._backend.clock.lockstep
+        with CallLimit(stage.duration, lockstep, self._interrupts) as limit:
+            return self._run(stage, limit) if lockstep else self._run_watched(stage, limit)
+
+    def _run_watched(self, stage: Stage, limit: CallLimit) -> bool:
         self._watchdog = Watchdog(self._backend.base.stop, self._guard.max_command_age)
         at_once = self._stop.acting_at_once(self._watchdog.act)
         with self._watchdog, at_once, prompt_threads():
-            return self._run(stage)
+            return self._run(stage, limit)
 
-    def _run(self, stage: Stage) -> bool:
+    def _run(self, stage: Stage, limit: CallLimit) -> bool:
         self._consistency.prepare(stage.estimator)
         ticker = Ticker(self._backend.clock, self._period)
         self._guard.begin(ticker.origin)
-        turn = _Turn(self, self._guard, self._backend, self._timer)
+        turn = _Turn(self, self._guard, self._backend, self._timer, limit)
         pipeline = turn.pipeline = Pipeline(self._perception, self._perception_name, stage, turn)
         reporting = self._read(pipeline.reporting(), stage)
         for observer in self._observers:
@@ -246,10 +250,15 @@ class _Turn(Watch):
     odometry: Odometry
 
     def __init__(
-        self, loop: Loop, guard: Guard, backend: Backend, timer: Callable[[], float]
+        self,
+        loop: Loop,
+        guard: Guard,
+        backend: Backend,
+        timer: Callable[[], float],
+        limit: CallLimit,
     ) -> None:
         self._loop, self._guard, self._backend = loop, guard, backend
-        self._timer = timer
+        self._timer, self._limit = timer, limit
         self._motion = ImageMotion(backend.camera.model.height)
         self.seconds: list[float] = []
         self._mark = 0.0
@@ -269,8 +278,13 @@ class _Turn(Watch):
         """Return the part of the tick that took longest."""
         return STAGES[max(range(len(self.seconds)), key=self.seconds.__getitem__)]
 
+    def calling(self, who: str) -> None:
+        """See `CallLimit.calling`."""
+        self._limit.calling(who)
+
     def after(self, part: str) -> None:
         """Stop a robot whose last command has grown old while a plugin was at work."""
+        self._limit.calling("")
         self.mark()
         if part != "control" and self._guard.expired(self.now()):
             self._loop.send(None)

@@ -106,6 +106,9 @@ class Stage:
 class Watch:
     """What happens between the parts of a tick; the default is what a recording needs."""
 
+    def calling(self, who: str) -> None:
+        """Hear that a plugin is called."""
+
     def after(self, part: str) -> None:
         """Hear that a part of the tick is over (see `records.STAGES`)."""
 
@@ -222,6 +225,7 @@ class Pipeline:
         if problem:
             return Views.nothing(frame.stamp, problem), problem
         who = f"perception '{self._perception_name}'"
+        self._watch.calling(who)
         try:
             views = self._perception.update(sound_frame(frame))
         except Exception as error:
@@ -235,6 +239,7 @@ class Pipeline:
         """Return the estimate; no estimator may guess its way past what had to be refused."""
         stage, who = self.stage, f"estimator '{self.stage.estimator_name}'"
         sent = self.sent
+        self._watch.calling(who)
         try:
             estimate = stage.estimator.update(views, sent, dt)
         except Exception as error:
@@ -269,8 +274,10 @@ class Pipeline:
             return
         stage, who = self.stage, f"controller '{self.stage.controller_name}'"
         try:
+            obstacles = self._obstacles(estimate)
+            self._watch.calling(who)
             if stage.obstacles:
-                stage.controller.sense(self._obstacles(estimate))
+                stage.controller.sense(obstacles)
             decision = stage.controller.update(estimate, self._steering, self._acted_s)
         except PluginError:
             raise
@@ -286,6 +293,7 @@ class Pipeline:
         now = self._watch.now()
         for name, provider in self.stage.obstacles.items():
             ranges = sound_ranges(self._watch.ranges()) if provider.listens else ()
+            self._watch.calling(f"obstacle provider '{name}'")
             try:
                 obstacles = provider.update(estimate, ranges, now)
                 if problem := unsound_obstacle(obstacles):
