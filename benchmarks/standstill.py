@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import fcntl
+import io
 import json
 import math
 import os
@@ -21,6 +23,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import termios
 import time
 import urllib.request
 from collections.abc import Callable, Sequence
@@ -127,11 +130,16 @@ class Straight(Controller[NoOptions, Estimate]):
 
 @dataclass
 class Scene:
-    """A program under way: its process, the robot, and the folder it runs in."""
+    """A program under way: its process, the robot, its folder, and its terminal's other end."""
 
     process: subprocess.Popen[bytes]
     robot: Emulator
     folder: Path
+    terminal: io.FileIO
+
+    def close_terminal(self) -> None:
+        """Close the window that the program runs in."""
+        self.terminal.close()
 
     def signal(self, number: int) -> None:
         """Send a signal."""
@@ -179,6 +187,7 @@ CASES = (
     Case("signal TSTP", lambda scene: scene.signal(signal.SIGTSTP)),
     Case("signal STOP", lambda scene: scene.signal(signal.SIGSTOP)),
     Case("signal KILL", lambda scene: scene.signal(signal.SIGKILL)),
+    Case("terminal closed", Scene.close_terminal),
     Case("STOP on the page", Scene.press_stop),
     Case("output closed", Scene.close_pipes, None),
     Case("disk full", Scene.fill_disk),
@@ -213,8 +222,14 @@ def measure(case: Case, folder: Path) -> Result:
         (folder / name).unlink(missing_ok=True)
     subclass = emulated("p3dx-sh")
     firmware = Firmware(profile(subclass, PERSONALITIES["arcos"]))
-    with Emulator(firmware, PtyPort()) as robot, _program(robot.url, folder) as process:
-        scene = Scene(process, robot, folder)
+    window, terminal = os.openpty()
+    with (
+        io.FileIO(window, "r+") as far_end,
+        Emulator(firmware, PtyPort()) as robot,
+        _program(robot.url, folder, terminal) as process,
+    ):
+        os.close(terminal)
+        scene = Scene(process, robot, folder, far_end)
         try:
             _wait(lambda: robot.velocity.v > SPEED - 0.01, 30.0, process)
             time.sleep(0.37)
@@ -230,7 +245,7 @@ def measure(case: Case, folder: Path) -> Result:
         return Result(took, way, _ended(process), _reason(folder))
 
 
-def _program(url: str, folder: Path) -> subprocess.Popen[bytes]:
+def _program(url: str, folder: Path, terminal: int) -> subprocess.Popen[bytes]:
     here = Path(__file__).resolve().parent
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (here, here.parent)))}
     arguments = ["run", "scenario.yaml", "--port", url, "--camera-url", "film.avi", "--out", "o"]
@@ -238,6 +253,9 @@ def _program(url: str, folder: Path) -> subprocess.Popen[bytes]:
         [sys.executable, "-m", "visctrl", *arguments, "--overwrite", "--web-address", _WEB],
         cwd=folder,
         env=environment,
+        stdin=terminal,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
