@@ -132,6 +132,23 @@ def test_a_picture_of_the_present_is_never_taken_for_an_old_one(
             assert world.tick(velocity) == ""
 
 
+@pytest.mark.parametrize("frozen", ["", "torn", "whole"])
+def test_on_an_arc_things_at_its_middle_hold_their_bearing(frozen: str) -> None:
+    """Turning by v/r, what lies r beside the robot does not move in the image but for depth."""
+    velocity = Velocity(0.4, 0.2)
+    world = World(2.0, seed=3)
+    rng = np.random.default_rng(4)
+    beside, far = rng.uniform(-0.45, 0.45, 80) - math.pi / 2, rng.uniform(1.6, 2.4, 80)
+    world.points[:, 0], world.points[:, 1] = far * np.sin(beside), far * np.cos(beside)
+    world.past = [world._exact()]
+    found = world.first_verdict(velocity, 1.2, frozen)
+    if frozen:
+        assert found is not None
+        assert found <= 1.0
+    else:
+        assert found is None
+
+
 def test_a_frozen_picture_of_a_robot_that_stands_or_looks_far_is_no_verdict() -> None:
     world = World(4.0, 1)
     assert world.first_verdict(STANDSTILL, 3.0, "frozen") is None

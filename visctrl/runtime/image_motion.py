@@ -5,7 +5,7 @@ whatever noise lies on it. For each band of image rows (a torn picture is old in
 the features of now are compared with those of a moment ago:
 
 * The robot turns: every ray turns by as much the other way. The band is old if most of its rays
-  have stayed where they were.
+  have stayed where they were; of a robot that drives an arc, by no more than the noise.
 * It drives straight: how far rays move depends on how far away things are, so the test learns it
   from the run itself, and a scene too far away for it gives no verdict. The band is old if its
   rays move by a small share of what they did a window ago.
@@ -130,13 +130,18 @@ class ImageMotion:
             if min(turns) < least and max(turns) > -least:
                 continue
             turn = min(turns, key=abs)
+            ways = [abs(a - b) for a, b in zip(now.ways, then.ways, strict=True)]
             before, after, rows = _common(then, now, bands)
             due = np.linalg.norm(_turned_by(before, turn) - before, axis=1)
-            stayed = np.linalg.norm(after - before, axis=1) < _STAYED * due
+            moved = np.linalg.norm(after - before, axis=1)
             told = due > 0.5 * abs(turn)  # rays that point up or down hardly move
             for band in range(_BANDS):
-                here = stayed[told & (rows == band)]
-                if len(here) >= _LEAST and here.mean() > _MOST:
+                here = told & (rows == band)
+                if here.sum() < _LEAST or (moved < _STAYED * due)[here].mean() <= _MOST:
+                    continue
+                # On an arc, things at one side can hold their bearing: what the turn does to them
+                # the way undoes. They move by more than the noise all the same.
+                if max(ways) < _WAY_M or np.median(moved[here]) < _NOISE_SIGMAS * sigma:
                     degrees = math.degrees(abs(turn))
                     return (
                         f"the camera shows the past: the robot has turned by {degrees:.1f} deg in "
