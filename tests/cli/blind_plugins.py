@@ -19,7 +19,7 @@ class BlindOptions(StrictModel):
 
 
 class Blind(Perception[BlindOptions]):
-    """Takes any image and reports the same twenty features."""
+    """Takes any image and reports twenty features, others in every frame: it looks at nothing."""
 
     Options: ClassVar[type[BlindOptions]] = BlindOptions
 
@@ -32,7 +32,8 @@ class Blind(Perception[BlindOptions]):
 
     def update(self, frame: Frame) -> Views:
         rays = np.tile([0.0, 1.0, 0.0], (20, 1))
-        return Views(np.arange(20), rays, rays, rays, np.zeros((20, 2)), 0.001, frame.stamp)
+        ids = np.arange(20) + 20 * frame.sequence
+        return Views(ids, rays, rays, rays, np.zeros((20, 2)), 0.001, frame.stamp)
 
 
 class Reckoning(Estimator[BlindOptions, PoseEstimate]):

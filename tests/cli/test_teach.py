@@ -66,8 +66,9 @@ def test_view_is_taken_and_judged(robot: Emulator, teach: Teach) -> None:
     lines = out.splitlines()
     assert [line.split()[0] for line in lines] == ["ok", "ok", "ok", "ok", "ok", "files"]
     assert "every scheme" in lines[0]
-    assert "here.npz" in lines[4]
-    assert "look.png" in lines[4]
+    assert "arrival" in lines[4]
+    assert "here.npz" in lines[-1]
+    assert "look.png" in lines[-1]
     view = load_target(Path("here.npz"))
     assert view.camera == CAMERA
     assert view.images.shape == (3, CAMERA.height, CAMERA.width)

@@ -53,11 +53,12 @@ def kinds(
 def test_damaged_bytes(hostile: ModuleType, kinds: Kinds, name: str) -> None:
     kind = kinds[name]
     kind.take(kind.example)  # what is damaged has been good
+    before = hostile.peak_mib()  # of the tests that ran in this process before
     rng = random.Random(name)
     for _ in range(40):
         data = hostile.mutated(kind.example, rng)
         assert hostile.check(kind, data) == "", data
-    assert hostile.peak_mib() < hostile.MOST_MIB
+    assert hostile.peak_mib() < max(hostile.MOST_MIB, before + 1.0)
 
 
 @pytest.mark.parametrize("name", [name for name in KINDS if name != "HTTP request"])

@@ -25,7 +25,8 @@ def test_ticks_keep_their_deadlines(toy_plan: Callable[..., Plan]) -> None:
     settings = {"controller.drive_s": seconds, "duration_s": seconds + 5.0, "controller.v": 0.01}
     outcome = run_session(toy_plan({**settings, "realtime": True}))
     summary = outcome.summary
-    assert summary["duration_s"] == pytest.approx(seconds, abs=0.5)
+    # The frames by which arrival is judged come after the last tick.
+    assert seconds - 0.2 <= summary["duration_s"] <= seconds + 1.5
     assert summary["real_time_factor"] == pytest.approx(1.0, abs=0.02)
     lateness = summary["lateness_ms"]
     print(f"\nlateness ms {lateness}, missed {summary['missed_ticks']}, {outcome.notes}")

@@ -72,6 +72,8 @@ def judge(plan: Plan, finished: bool, verdict: Verdict, collisions: int) -> End:
         return End(REACHED, f"{did}, and the picture is the target's: {verdict.reason}", 0)
     if verdict.answer is Answer.ELSEWHERE:
         return End(MISSED, f"{did}, but the picture is not the target's: {verdict.reason}", 1)
+    if not finished:  # neither the controller nor the picture says that the robot is there
+        return End(MISSED, f"{did}, and the picture cannot tell: {verdict.reason}", 1)
     return End(DOUBTFUL, f"{did}, but the picture cannot tell: {verdict.reason}", 1)
 
 
