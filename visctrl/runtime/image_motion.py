@@ -141,7 +141,7 @@ class ImageMotion:
                     continue
                 # On an arc, things at one side can hold their bearing: what the turn does to them
                 # the way undoes. They move by more than the noise all the same.
-                if max(ways) < _WAY_M or np.median(moved[here]) < _NOISE_SIGMAS * sigma:
+                if max(ways) < _WAY_M or _middle(moved[here]) < _NOISE_SIGMAS * sigma:
                     degrees = math.degrees(abs(turn))
                     return (
                         f"the camera shows the past: the robot has turned by {degrees:.1f} deg in "
@@ -167,7 +167,7 @@ class ImageMotion:
             for band in due:
                 here = moved[band]
                 most = min(_WAY_STAYED * rates[band] * way, _NOISE_SIGMAS * sigma)
-                if len(here) >= _LEAST and np.median(here) < most:
+                if len(here) >= _LEAST and _middle(here) < most:
                     return (
                         f"the camera shows the past: the robot has driven {way:.2f} m in "
                         f"{now.stamp - then.stamp:.1f} s, and the picture, or part of it, has not "
@@ -178,7 +178,7 @@ class ImageMotion:
             then, way = straight[-1]
             for rate, here in zip(self._rates, _moved(then, now, bands), strict=True):
                 if len(here) >= _LEAST:
-                    middle = float(np.median(here))
+                    middle = _middle(here)
                     # What does not stand out of the noise says that things are far away.
                     rate.learn(now.stamp, middle / way if middle > _LEARN_SIGMAS * sigma else 0.0)
         return ""
@@ -223,7 +223,7 @@ def _moved(then: _Seen, now: _Seen, bands: NDArray[np.int64]) -> list[Array]:
     moved: list[Array] = []
     for band in range(_BANDS):
         here = rows == band
-        turn = float(np.median(shifts[here])) if here.any() else 0.0
+        turn = _middle(shifts[here]) if here.any() else 0.0
         moved.append(np.linalg.norm(after[here] - _turned_by(before[here], turn), axis=1))
     return moved
 
@@ -236,6 +236,12 @@ def _common(
         return then.rays, now.rays, bands
     _, a, b = np.intersect1d(then.ids, now.ids, assume_unique=True, return_indices=True)
     return then.rays[a], now.rays[b], bands[b]
+
+
+def _middle(values: Array) -> float:
+    """Return the (upper) median; `np.median` takes ten times as long for so few."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])
 
 
 def _turned_by(rays: Array, turn: float) -> Array:
