@@ -412,16 +412,3 @@ def test_a_camera_that_would_hold_the_program_for_ever(visctrl: Call, tmp_path: 
     done = visctrl("doctor", "--quick", "--camera-url", "pipe")
     assert done.code == 3
     assert "neither a device nor a film" in " ".join(done.out.split())
-
-
-def test_a_machine_without_pybullet(
-    visctrl: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    for name in [name for name in sys.modules if name.startswith("visctrl.sim")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    done = visctrl("doctor")
-    assert done.code == 3, done.err
-    assert "Traceback" not in done.err
-    assert "failure" in done.out
-    check(visctrl("run", "default", "--backend", "sim"), 2, "pybullet")

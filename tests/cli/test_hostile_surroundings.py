@@ -101,3 +101,34 @@ def test_ctrl_c_while_the_program_is_still_being_imported(
     )  # fmt: skip
     assert done.returncode == 130, done.stderr
     assert done.stderr == "visctrl: stopped by Ctrl-C\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "stream", "word"),
+    [
+        (["doctor"], 3, "stdout", "failure"),
+        (["run", "default", "--backend", "sim"], 2, "stderr", "pybullet"),
+    ],
+)
+def test_a_machine_without_pybullet(
+    tmp_path: Path, arguments: list[str], code: int, stream: str, word: str
+) -> None:
+    program = (
+        "import sys\n"
+        "sys.modules['pybullet'] = None\n"
+        f"sys.argv = ['visctrl', *{arguments!r}]\n"
+        "from visctrl.cli.main import main\n"
+        "main()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env=environment,
+    )
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert word in getattr(done, stream)

@@ -84,7 +84,7 @@ def test_the_table_has_a_row_for_every_run(undisturbed: bytes) -> None:
     rows = list(csv.DictReader(undisturbed.decode().splitlines()))
     assert [int(row["run"]) for row in rows] == list(range(18))
     statuses = Counter((row["mock.features"], row["status"]) for row in rows)
-    ended = {("60", "missed"): 6, ("60", "doubtful"): 3}
+    ended = {("60", "missed"): 9}
     assert statuses == {**ended, ("2", "refused"): 9}
     for row in rows:
         assert -0.5 <= float(row["start.x_m"]) <= 0.5
@@ -186,7 +186,7 @@ def test_json_is_all_that_is_on_stdout(
     summary = json.loads(capfd.readouterr().out)
     assert Path(summary["table"]).read_bytes() == undisturbed
     assert (summary["runs"], summary["finished"], summary["died"]) == (18, 18, [])
-    assert summary["statuses"] == {"doubtful": 3, "missed": 6, "refused": 9}
+    assert summary["statuses"] == {"missed": 9, "refused": 9}
     assert [cell["values"]["mock.features"] for cell in summary["cells"]] == [60, 2] * 3
     written = json.loads((out / "summary.json").read_text())
     assert written == {key: value for key, value in summary.items() if key != "table"}
