@@ -65,7 +65,7 @@ def check_corners(
         found = measure_corners(view, camera, poses)
     finally:
         view.close()
-    assert len(found.errors) > 80
+    assert len(found.errors) > 100
     assert found.percentile(0.95) <= 0.2
     # A wrong pixel convention would shift everything by half a pixel.
     assert np.abs(found.errors.mean(axis=0)).max() < 0.04
@@ -86,7 +86,7 @@ def test_known_corners_lie_where_the_model_says(
 @pytest.mark.parametrize("name", sorted(CAMERAS))
 def test_distorted_cameras_are_drawn_as_they_are(drawer: RendererName, name: str) -> None:
     camera = parse_camera({"name": name, **CAMERAS[name][1]}, name)
-    check_corners(camera, drawer, POSES[:1], 0.2)
+    check_corners(camera, drawer, POSES[:2], 0.2)
 
 
 @pytest.fixture(scope="module")
