@@ -90,7 +90,8 @@ def magsac(
     """Find the epipolar geometry of two views in general motion.
 
     A gross error that happens to lie on its epipolar line cannot be told from a feature; with a
-    fifth of gross errors all over the image the epipoles' errors are twice their deviations.
+    fifth of gross errors all over the image the epipoles' errors are more than their deviations:
+    2.2 times (essential) and 4.2 times (fundamental) in the root mean square of 60 scenes.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ The tensor gives the target's polar coordinates (ρ, q) in the robot's axes and 
 
 Two outputs are held at zero by the super-twisting algorithm (`visctrl.schemes.super_twisting`):
 
-    s1 = ρ − ρ_d,      s2 = q − sat(k ψ)
+    s1 = ρ − ρ_d,      s2 = φ − φ_d = q − sat(k ψ),   φ_d = ψ + sat(k ψ)
     v = −(T_N / cos q)(ρ_d' + r1),      ω = −(1 + k) v sin q / (T_N ρ) + r2
 
 On s2 = 0 the line of sight turns with the robot, ψ' = −v sin(k ψ) / (T_N ρ), so that q, ψ and with
